@@ -31,32 +31,34 @@ _SWAPPED: dict[type, tuple[type, ...]] = {
     ast.Mult: (ast.Div,), ast.Div: (ast.Mult,), ast.And: (ast.Or,), ast.Or: (ast.And,),
 }
 TESTS = {
-    'gate': (['test_gate'], ''),
-    'self_check': (['test_self_check'], ''),
-    'coil_driver': (['test_coil_driver', 'test_sabertooth', 'test_coil_driver_thread'],
-                    'not scpi'),
-    'heat': (['test_heat'], ''),
-    'adapter': (['test_adapter'], ''),
-    'amplifier': (['test_amplifiers', 'test_lines', 'test_adapter', 'test_sabertooth'], ''),
-    'polled': (['test_polled', 'test_amplifiers', 'test_lines', 'test_modbus', 'test_scpi',
-                'test_roboclaw'], ''),
-    'last_resort': (['test_sentinel'], ''),
-    'sentinel': (['test_sentinel'], ''),
-    'amplifiers.serial_transfer.driver': (
+    'drive.gate': (['test_gate'], ''),
+    'drive.self_check': (['test_self_check'], ''),
+    'drive.coil_driver': (['test_coil_driver', 'test_sabertooth', 'test_coil_driver_thread',
+                           'test_lateness'], 'not scpi'),
+    'drive.heat': (['test_heat'], ''),
+    'drive.adapter': (['test_adapter'], ''),
+    'drive.amplifier': (['test_amplifiers', 'test_lines', 'test_adapter', 'test_sabertooth'], ''),
+    'drive.polled': (['test_polled', 'test_amplifiers', 'test_lines', 'test_modbus', 'test_scpi',
+                      'test_roboclaw'], ''),
+    'drive.last_resort': (['test_sentinel'], ''),
+    'drive.sentinel': (['test_sentinel'], ''),
+    'drive.amplifiers.serial_transfer.driver': (
         ['test_amplifiers', 'test_lines', 'test_serial_transfer_driver'], 'serial_transfer'),
-    'amplifiers.roboclaw.driver': (['test_roboclaw', 'test_amplifiers', 'test_lines'], 'roboclaw'),
-    'amplifiers.sabertooth.driver': (['test_sabertooth'], ''),
-    'amplifiers.modbus.driver': (['test_modbus', 'test_amplifiers', 'test_lines'], 'modbus'),
-    'amplifiers.roboteq.driver': (['test_roboteq', 'test_amplifiers', 'test_lines'], 'roboteq'),
-    'amplifiers.scpi.driver': (['test_scpi', 'test_amplifiers', 'test_lines'], 'scpi'),
+    'drive.amplifiers.roboclaw.driver': (
+        ['test_roboclaw', 'test_amplifiers', 'test_lines'], 'roboclaw'),
+    'drive.amplifiers.sabertooth.driver': (['test_sabertooth'], ''),
+    'drive.amplifiers.modbus.driver': (['test_modbus', 'test_amplifiers', 'test_lines'], 'modbus'),
+    'drive.amplifiers.roboteq.driver': (
+        ['test_roboteq', 'test_amplifiers', 'test_lines'], 'roboteq'),
+    'drive.amplifiers.scpi.driver': (['test_scpi', 'test_amplifiers', 'test_lines'], 'scpi'),
+    'nodes.coil_driver': (['test_coil_driver'], ''),
 }
-"""Every module that can hold the coils on, its tests, and which of them: those of a protocol."""
+"""Module that can leave current on → its tests in the room's folder, and the -k that chooses
+those of a protocol."""
 
-_DRIVE = 'microbot_ros.drive.'
-_FOLDER = Path('test/drive')
 _EXPLAINED = Path(__file__).with_name('mutants.txt')
 _IMPORTING = ('microbot_ros', 'test', 'conftest', 'bench._served')
-_HANGS_S = 8
+_HANGS_S = 30
 _QUICKLY = ['-x', '-q', '--assert=plain', '--tb=no', '-p', 'no:xdist',
             '--timeout', str(_HANGS_S), '--timeout-method', 'thread']
 _WORKERS = min(os.cpu_count() or 1, 2)
@@ -160,8 +162,10 @@ def survey(module: str) -> Survey:
     an explanation of what is not there any more.
     """
     names, chosen = TESTS[module]
-    tests = [*(str(_FOLDER / f'{name}.py') for name in names), '-k', chosen]
-    source = Path(importlib.import_module(_DRIVE + module).__file__ or '').read_text('utf-8')
+    folder_of_tests = Path('test') / module.partition('.')[0]
+    tests = [*(str(folder_of_tests / f'{name}.py') for name in names), '-k', chosen]
+    full_name = f'microbot_ros.{module}'
+    source = Path(importlib.import_module(full_name).__file__ or '').read_text('utf-8')
     found = list(mutants(source))
     explained = _explained().get(module, set())
     if gone := explained - {what for what, _ in found}:
@@ -169,9 +173,9 @@ def survey(module: str) -> Survey:
     tried = [(what, mutant) for what, mutant in found if what not in explained]
     with TemporaryDirectory() as folder:
         _load(tests)
-        if all(_end(_try(_DRIVE + module, source, tests, folder)) for _ in range(3)):
+        if all(_end(_try(full_name, source, tests, folder)) for _ in range(3)):
             raise RuntimeError(f'the tests of {module} fail as it is')
-        survived = list(_survivors(_DRIVE + module, tried, tests, folder))
+        survived = list(_survivors(full_name, tried, tests, folder))
     return Survey(len(found), len(found) - len(tried), survived)
 
 

@@ -103,13 +103,13 @@ def _gate_figures() -> list[Figure]:
 
 def _mutated() -> list[str]:
     """Modules whose mutants are tried; `make soak` tries all."""
-    return list(_mutants.TESTS) if FULL else ['gate']
+    return list(_mutants.TESTS) if FULL else ['drive.gate']
 
 
 def _mutant_figure(module: str) -> Figure:
     found = _mutants.survey(module)
     return Figure(
-        _ISSUE if module == 'gate' else _SAFETY,
+        _ISSUE if module == 'drive.gate' else _SAFETY,
         f'{module}, survivors of {found.total} mutants ({found.explained} explained)',
         len(found.survived), 'mutants', '0', 'none', not found.survived)
 

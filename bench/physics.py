@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from bench._langevin import simulate_langevin
 from bench.figure import Figure, seconds
 from microbot_ros.common.records import Commands
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.physics.langevin import simulate_langevin
 from microbot_ros.model.physics.particle import Fluid, Particle, rotational_drag, speed_from_force
 from microbot_ros.paper import repetition as paper
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bench._rolling_loop import Rollers, RollingLoop
 from bench.figure import Figure, sized
 from microbot_ros.control.contract import ControllerInput, FieldCommand, Goals
 from microbot_ros.control.manager import Outcome
@@ -18,7 +19,6 @@ from microbot_ros.control.planning.route import Route
 from microbot_ros.control.planning.shared import as_complex, floor
 from microbot_ros.control.plugins.pushing import Pushing, PushingParameters
 from microbot_ros.control.plugins.swarm import Swarm, SwarmParameters
-from microbot_ros.virtual_rig.rolling_loop import Rollers, RollingLoop
 
 ISSUE = 19
 SEEDS = sized(100, 8)

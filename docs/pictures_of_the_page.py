@@ -148,7 +148,7 @@ def _place(page: Any, right: float, down: float) -> tuple[float, float]:
 def _switch(page: Any, name: str) -> None:
     page.select_option('#controller', name)
     page.click('#controller-form button')
-    page.wait_for_selector(f'#controller-now:has-text("At work: {name}.")')
+    page.wait_for_selector(f'#controller-now:has-text("At work: {name.replace("_", " ")}.")')
 
 
 if __name__ == '__main__':

@@ -1,4 +1,4 @@
-"""What any effect must stand: run yours through it in a test of your own package.
+"""Tests that every effect must pass; call them in a test of your own package.
 
     from microbot_ros.conformance import exercise, exercise_discovery
 
@@ -8,7 +8,7 @@
     def test_my_effect_is_found():
         exercise_discovery(MyEffect(0.5))
 
-The package has to be installed, since files, searches and simulations know effects by name.
+The package must be installed, since files, searches and simulations know effects by name.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ from microbot_ros.virtual_rig.foreign_effects import make_world
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, inject_effect
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 
-FIELD = 5e-3
+FIELD = 5e-3  # choice: reference field [T], the default of the rig
 PRIOR_OFF = 3.0
-"""Factor by which the typical sizes that a person states may be wrong: a choice."""
-_COUNT = 3
+"""Choice: factor by which the declared typical sizes may be wrong."""
+_COUNT = 3  # choice: particles, of which two remain if one is missing
 _HOOKS = ('heading_offset', 'alignment_rate', 'speed_factor', 'drift')
 
 
 def exercise(kind: type[Effect]) -> None:
-    """AssertionError, saying what is wrong, unless effects of a `kind` keep the contract.
+    """Raise AssertionError, naming the defect, unless effects of a `kind` keep the contract.
 
-    It must say what it is, with parameters in range; do nothing at strength zero, whatever its
-    shape; stay finite at its bounds; have a smooth derivative along each parameter; tell
-    particles and times apart as its hooks promise; say truly whether it needs positions,
-    counts time or is linear; and come back from a `model.yaml` to the last bit.
+    An effect must describe itself, with parameters in range; do nothing at strength zero, whatever
+    its shape; stay finite at its bounds; have a smooth derivative along each parameter; keep
+    particles and times apart as its hooks promise; declare correctly whether it needs positions,
+    depends on absolute time or is linear; and survive a `model.yaml` to the last bit.
     """
     assert EFFECTS.get(kind.id) is kind, (
         f"{kind.id} is not installed: name it in the entry points 'microbot_ros.effects'")
@@ -69,12 +69,11 @@ def exercise(kind: type[Effect]) -> None:
 
 
 def exercise_discovery(hidden: Effect) -> None:
-    """AssertionError unless discovery establishes an effect where it is `hidden`, and only there.
+    """Raise AssertionError unless discovery establishes `hidden` where it acts, and only there.
 
-    Two sessions of the simulated world, half a minute of three particles under steps of the
-    field at two strengths: with the effect, which has to be strong enough for that, and without.
-    Both verdicts must stay the same under priors that are narrower or wider by PRIOR_OFF than
-    the effect declares.
+    Two sessions are simulated, half a minute of three particles under steps of the field at two
+    strengths: with the effect, which must be strong enough, and without. Both verdicts must hold
+    under priors narrower and wider by PRIOR_OFF than the effect declares.
     """
     known = _search(hidden.is_drive_curve, {hidden.id: {
         p.name: p.display_units(value) for p, value in hidden.values().items()}})
@@ -98,7 +97,7 @@ def exercise_discovery(hidden: Effect) -> None:
 
 @cache
 def _where_nothing_is_hidden(rolls: bool) -> tuple[Hypotheses, list[str]]:
-    """Return what is found, and what is established, without an effect: once for all effects."""
+    """Return the result and the established effects without an effect, cached for all effects."""
     known = _search(rolls, {})
     return known, _established(known)
 
@@ -109,12 +108,12 @@ def _established(known: Hypotheses) -> list[str]:
 
 
 def _log_evidence_under_other_priors(found: CandidateFit) -> np.ndarray:
-    """Return the log evidence (2,) of an effect under a narrower prior and under a wider one."""
+    """Return the log evidence (2,) of an effect under a narrower and a wider prior."""
     return np.array([log_bayes_factor(found, wider) for wider in (1 / PRIOR_OFF, PRIOR_OFF)])
 
 
 def plain(kind: type[Effect]) -> Effect:
-    """An effect of a `kind` at plain strength, its shape away from what only stands in."""
+    """Return an effect of a `kind` at typical strength, with its shape away from the default."""
     return kind(**{
         p.field: p.from_fit(1.3) if p.shape or p.inverse else p.null_value + 0.7 * p.scale
         for p in kind.parameters()})
@@ -177,7 +176,7 @@ def _slope(model: Model, at: np.ndarray, k: int, step: float) -> np.ndarray:
 
 
 def _broadcasts(effect: Effect) -> None:
-    """Every hook gives for many times at once what it gives for each, and for each particle."""
+    """Check that hooks give the same for many times at once as for each, and for each particle."""
     rng = np.random.default_rng(2)
     context = EffectContext(
         rng.uniform(0, 9, (4, 1)), rng.uniform(0, 0.1, (4, 1)), rng.normal(0, 1e-3, (4, 1, 2)),
@@ -202,7 +201,7 @@ def _broadcasts(effect: Effect) -> None:
 
 
 def _bears_gaps(effect: Effect) -> None:
-    """A particle that is missing is as one that is not there."""
+    """Check that a missing particle acts like one that is not there."""
     whole = _timeline()
     assert whole.positions is not None
     gap = whole.positions.copy()
@@ -272,13 +271,13 @@ def _model(*effects: Effect) -> Model:
 
 
 def _particles(count: int) -> ParticleParameters:
-    """The first of three."""
+    """Return the first `count` of three particles."""
     return ParticleParameters(
         np.arange(count), np.array([3e-6, 4e-6, 5e-6])[:count], np.array([-2.0, 0.5, 3.0])[:count])
 
 
 def _timeline() -> Timeline:
-    """Steps of direction, strength and frequency, a pause, switches inside frames; 5 s."""
+    """Return 5 s of steps in direction, strength and frequency, with a pause, some mid-frame."""
     rng = np.random.default_rng(5)
     t = np.array([-1.0, 0.0, 0.91, 2.017, 2.8, 3.55, 4.49])
     angle = rng.uniform(-np.pi, np.pi, len(t))
@@ -291,7 +290,7 @@ def _timeline() -> Timeline:
 
 
 def _moved(effect: Effect | None = None, line: Timeline | None = None) -> np.ndarray:
-    """Displacements (T−1, N, 2) [m] along a timeline."""
+    """Return displacements (T−1, N, 2) [m] along a timeline."""
     line = line or _timeline()
     count = _COUNT if line.positions is None else line.positions.shape[1]
     model = _model() if effect is None else _model(effect)
@@ -299,7 +298,7 @@ def _moved(effect: Effect | None = None, line: Timeline | None = None) -> np.nda
 
 
 def _search(rolls: bool, effects: dict[str, dict[str, float]]) -> Hypotheses:
-    """Return what is found in a session with these `effects`, of rollers or of swimmers."""
+    """Return what discovery finds in a session with these `effects`, of rollers or swimmers."""
     rng = np.random.default_rng(7)
     swarm = draw_swarm(rng, _COUNT, Fluid(1.245e-3), FIELD, radius=2.3e-6, half_extent=40e-6)
     if rolls:

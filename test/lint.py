@@ -4,6 +4,7 @@
   parameter is described where the docstring of the function or of its class names it, as an
   identifier or in words (`frame_rate`: 'frame rate'), or where its annotation is a type of ours,
   whose own docstring describes it, or one that leaves nothing to say. What overrides inherits.
+* A `Parameters` section lists the parameters of the signature, all of them and no others.
 * Imports run one way, file by file: what one file needs of another never leads back to it.
 * What is compiled uses the cache that many processes may share.
 """
@@ -83,6 +84,18 @@ def undescribed(function, docstring):
             yield one.arg
 
 
+def mislisted(function, docstring):
+    """Names that a `Parameters` section lacks or has too many; none without a section."""
+    section = re.search(r'(?ms)^Parameters\n-{10}\n(.*?)(?:\n\n|\Z)', docstring)
+    if section is None:
+        return set()
+    listed = {name for names in re.findall(r'^([*\w, ]+?)(?: :|$)', section[1], re.MULTILINE)
+              for name in names.replace('*', '').split(', ')}
+    given = function.args
+    every = (*given.posonlyargs, *given.args, given.vararg, *given.kwonlyargs, given.kwarg)
+    return listed ^ {one.arg for one in every if one is not None} - {'self', 'cls'}
+
+
 def is_dataclass(cls):
     return any('dataclass' in ast.unparse(d) for d in cls.decorator_list) or any(
         'NamedTuple' in ast.unparse(b) for b in cls.bases)
@@ -110,6 +123,8 @@ def complaints(path, tree):
         if not own and not (cls is not None and inherits(function.name, cls)):
             yield label, 'has no docstring'
         elif own:
+            for name in mislisted(function, own):
+                yield label, f'and its Parameters section differ in `{name}`'
             above = ast.get_docstring(cls) or '' if cls is not None else ''
             for name in undescribed(function, f'{own} {above}'):
                 yield label, f'does not describe `{name}`'
@@ -133,6 +148,8 @@ def complaints(path, tree):
             for method in (m for m in node.body if isinstance(m, FUNCTION)):
                 if method.name == '__init__':
                     said = f'{whole} {ast.get_docstring(method) or ""}'
+                    for name in mislisted(method, whole):
+                        yield label, f'and its Parameters section differ in `{name}`'
                     for name in undescribed(method, said):
                         yield label, f'does not describe `{name}`'
                 elif not method.name.startswith('_'):

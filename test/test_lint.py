@@ -18,6 +18,15 @@ def shown(field: int, scale: float):
 
 def bare():
     pass
+
+def listed(one, two, *more):
+    """List them.
+
+    Parameters
+    ----------
+    one, other : float [m]
+        Of `more` lengths than two.
+    """
 '''
 
 
@@ -26,7 +35,9 @@ def test_what_no_docstring_describes_is_named():
              for where, what in lint.complaints(lint.ROOT / 'made.py', ast.parse(MODULE))}
     assert found == {
         ('Field', 'does not describe `angle`'), ('shown', 'does not describe `field`'),
-        ('shown', 'does not describe `scale`'), ('bare', 'has no docstring')}
+        ('shown', 'does not describe `scale`'), ('bare', 'has no docstring'),
+        *(('listed', f'and its Parameters section differ in `{name}`')
+          for name in ('two', 'other', 'more'))}
 
 
 def test_a_circle_is_found():

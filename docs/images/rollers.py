@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import bench.rollers
+from bench._rolling_loop import RollingLoop
 from bench.rollers import PATHS, WALLS_UM, passage, push
-from microbot_ros.virtual_rig.rolling_loop import RollingLoop
 
 _RADIUS_UM = 2.3
 

@@ -13,9 +13,9 @@ from microbot_ros.cli import microbot
 
 def page() -> str:
     """`commands.md`."""
-    parts = [f'# Commands\n\n{MADE} `microbot COMMAND --help` says the same. Each ends with 0 '
-             'when it is done, with 1 when it failed and with 2 when what it was given is wrong, '
-             'which one line on standard error names.\n']
+    parts = [f'# Commands\n\n{MADE} `microbot COMMAND --help` prints the same. Exit status: 0 '
+             'done, 1 failed, 2 wrong input, which one line on standard error names. Units: '
+             '[glossary](glossary.md#units-of-commands-files-and-parameters).\n']
     return '\n'.join([*parts, *_sections(microbot, click.Context(microbot, info_name='microbot'))])
 
 

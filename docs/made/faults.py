@@ -134,15 +134,20 @@ def page() -> str:
     """`when_something_trips.md`."""
     remedies = catalogue()
     parts = [
-        f'# When something trips\n\n{MADE} Every sentence that a fault can say, what causes it, '
-        'and what to do. … stands for what is filled in.\n\nA fault of the gate sends zero to the '
-        'coils and is kept until the next `microbot arm`. Look at `/diagnostics`, or at the '
-        'terminal of `microbot run`: the sentence of the coil driver is `disarmed, WHY '
-        '(PARAMETERS): DETAIL; ZERO`, with the parameters of the limit and what is known of the '
-        'currents: *zero, confirmed by a reading*, *zero sent, not confirmed* or *not reachable*, '
-        'which means: switch the amplifier off by hand. An error in a file or an '
-        'option, with exit status 2, says itself where it is and what was expected; such errors '
-        'are not listed here.\n']
+        f'# When something trips\n\n{MADE} It lists every sentence that a fault can print, its '
+        'cause, and what to do. … stands for a value that is filled in. By symptom: '
+        '[what can go wrong](what_can_go_wrong.md).\n\n'
+        'A fault of the gate sends zero to the coils and is kept until the next `microbot arm`. '
+        'Read the sentence on `/diagnostics` or in the terminal of `microbot run`. That of the '
+        'coil driver is `disarmed, WHY (PARAMETERS): DETAIL; ZERO`:\n\n'
+        + table(('part', 'meaning'), [
+            ['`WHY`', 'the reason: the first table below'],
+            ['`PARAMETERS`', 'the parameters of the limit'],
+            ['`DETAIL`', 'the value and the limit'],
+            ['`ZERO`', '*zero, confirmed by a reading*, *zero sent, not confirmed*, or *not '
+             'reachable*: then switch the amplifier off by hand']])
+        + '\nAn error in a file or an option, with exit status 2, states where it is and what '
+        'was expected. Such errors are not listed here.\n']
     for part, told in sentences().items():
         rows = [[sentence, *remedies.get(part, {}).get(sentence, ('?', '?'))]
                 for sentence in told]

@@ -84,10 +84,12 @@ def page() -> str:
             way = f'{_nodes(by["out"])} → {_nodes(by["in"])}'.strip()
             topics.append([f'{code(name)} {kind}', way, content[name]])
     return (f'# Topics and services\n\n{MADE} Names are relative, so that a rig may have a '
-            'namespace; SI units. A stamp is the moment of exposure of the frame, and travels '
-            'with all that is computed from it. Every node is a lifecycle node, with its '
-            'services; `recorder` takes all topics, `player` plays them, and `cockpit` takes '
-            'those too that an open page shows.\n\n## Topics\n\n'
+            'namespace. All numbers are in SI units; units and frames of each topic are in the '
+            '[glossary](glossary.md). A stamp is the time at which the exposure of the frame '
+            'began. Everything that is computed from the frame carries it. Every node is a '
+            'lifecycle node, with its services. `recorder` subscribes to all topics, `player` '
+            'plays them, and `cockpit` subscribes also to those that an open page shows.'
+            '\n\n## Topics\n\n'
             + table(('topic, type', 'from → to', 'content'), topics)
             + '\n## Services\n\n' + table(('service, type', 'does'), services))
 

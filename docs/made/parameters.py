@@ -16,8 +16,8 @@ _HEAD = ('parameter', 'default', 'unit', 'range', 'meaning')
 def page() -> str:
     """`parameters.md`."""
     parts = [f'# Parameters\n\n{MADE} Set them in a ROS parameter file (`config/rig.yaml`), with '
-             '`microbot set NODE PARAMETER VALUE` or `ros2 param set`. Those marked *fixed* are '
-             'read once, at start-up.\n']
+             '`microbot set NODE PARAMETER VALUE` or `ros2 param set`. Parameters marked *fixed* '
+             'are read once, at start-up.\n']
     for node in NODES:
         parts.append(f'## `{node}`\n\n' + table(_HEAD, _rows(node_class(node).Parameters, '')))
     for name, kind in controller_classes(required='hold').items():

@@ -57,7 +57,7 @@ def _keys(node: ast.AST) -> Iterator[str]:
 def page() -> str:
     """`results.md`."""
     meaning = yaml.safe_load(MEANING.read_text(encoding='utf-8'))
-    parts = [f'# Files of results\n\n{MADE} Names end in their unit; null is what is not known. '
+    parts = [f'# Files of results\n\n{MADE} Names end in their unit. null means not known. '
              'Files of a session: [sessions](sessions.md).\n']
     for file, command in _WRITTEN_BY.items():
         rows = [[code(name), meaning[file][name]] for name in fields(file)]

@@ -14,10 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from microbot_ros.archive.cluster import ClusterError, cluster, introduced, run_jobs
-from microbot_ros.archive.film_and_table import pairs
 from microbot_ros.archive.imports import siblings
 from microbot_ros.archive.labels import labels_of, own_answers, stated
-from microbot_ros.archive.recordings import Found, Refused, content_of, find, in_parallel
+from microbot_ros.archive.recordings import (
+    Found,
+    Refused,
+    content_of,
+    find,
+    in_parallel,
+    pairs,
+)
 from microbot_ros.archive.store import REPORT, Archive
 from microbot_ros.archive.work import READS, Job, Task
 from microbot_ros.common.errors import InputError, ReportError

@@ -1,14 +1,16 @@
-"""Tracking a film of any length: frames in, rows of `tracks.csv` out, neither kept."""
+"""Films into tracks, frame by frame, and those tracks beside the table of the same name."""
 
 from __future__ import annotations
 
+import csv
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from microbot_ros.archive.film_and_table import compare, times_of_frames
 from microbot_ros.cameras.source import ImageSource, Source, VideoSource, natural_order
 from microbot_ros.common.records import Session
 from microbot_ros.tracking import FrameError, Tracker, TrackerSettings
@@ -16,6 +18,45 @@ from microbot_ros.tracking.locate.kinds_detector import stand_in
 from microbot_ros.tracking.rows import Remarks, Rows
 from microbot_ros.tracking.teach.learn import learn_first
 from microbot_ros.tracking.teach.unprompted import evenly, without_prompt
+
+_LEAST_SHARE = 0.5
+"""Frames of the longest track in which another must be seen, too, to be compared."""
+
+_CLEARER = 0.75
+"""RMS with steps of the window over that without, up to which the window is said to follow. A
+choice: a window that follows a resting dimer reaches 0.3, steps of chance 1."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a `particle` of a film and a `robot` of the table agree in so many `frames`.
+
+    `rms_px` is the root mean square of their difference per coordinate [px] after the constant
+    `offset_px`, table minus film (x, y down). `window_rms_px` is the same where the film shows a
+    window that follows the robot in whole pixels; None where that explains nothing.
+    """
+
+    robot: int
+    particle: int
+    frames: int
+    rms_px: float
+    offset_px: tuple[float, float]
+    window_rms_px: float | None
+
+    def sentence(self, table: str) -> str:
+        """The agreement with the `table` of that name, for people."""
+        x, y = self.offset_px
+        said = (f'robot {self.robot} of {table} is particle {self.particle}: RMS difference '
+                f'{self.rms_px:.2f} px per coordinate in {self.frames} frames after a constant '
+                f'offset of {x:.1f}, {y:.1f} px')
+        if self.window_rms_px is not None:
+            said += (f'; {self.window_rms_px:.2f} px where the film is a window that follows the '
+                     'robot in whole pixels')
+        return said
+
+    def as_json(self) -> dict[str, Any]:
+        """The numbers, by the names of the fields."""
+        return asdict(self)
 
 
 def track_film(files: Sequence[Path], tracks: Path, pixel_size: float | None,
@@ -79,3 +120,75 @@ def _track(film: Source, tracker: Tracker, rows: Rows, times: np.ndarray | None)
             said = tracker.remarks
         odd.add(frame.index, said)
     return odd.sentences()
+
+
+def times_of_frames(session: Session, frames: int) -> np.ndarray | None:
+    """Return the times (frames,) [s] of a film's frames by the table that `session` is of.
+
+    None where the table has another number of rows: nobody knows then which row is which frame.
+    """
+    t = np.unique(session.tracks.t)
+    return t if len(t) == frames else None
+
+
+def compare(tracks: Path, session: Session, frames: int, pixel_size: float) -> list[Agreement]:
+    """Compare the `tracks` of a film, a `tracks.csv`, with the positions of its table, `session`.
+
+    Each robot of the table is compared with the particle that is nearest to its motion. Row by row
+    where the table has as many times as the film has `frames`, else by the time since the first.
+    `pixel_size` [m] is that of the film.
+    """
+    seen = _particles(tracks)
+    longest = max((len(frame) for frame, _ in seen.values()), default=0)
+    rate = session.conditions.frame_rate
+    times = times_of_frames(session, frames)
+    if times is None and rate is not None:
+        times = session.tracks.t.min() + np.arange(frames) / rate
+    if times is None:
+        return []
+    free = {name for name, (frame, _) in seen.items() if len(frame) >= _LEAST_SHARE * longest}
+    found = []
+    for robot in session.tracks.particles.tolist():
+        own = session.tracks.of(robot)
+        place = np.column_stack([np.interp(times, own.t, sign * axis / pixel_size)
+                                 for sign, axis in zip((1, -1), own.position.T, strict=True)])
+        place[np.abs(times[:, None] - own.t).min(axis=1) > np.median(np.diff(times)) / 2] = np.nan
+        agreed = [one for name in sorted(free)
+                  if (one := _agreement(robot, name, *seen[name], place)) is not None]
+        if agreed:
+            found.append(min(agreed, key=lambda one: one.rms_px))
+            free.discard(found[-1].particle)
+    return found
+
+
+def _particles(tracks: Path) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Return {particle: (its frames (n,), its places (n, 2) [px])} of a `tracks.csv`."""
+    rows: dict[int, list[tuple[float, float, float]]] = defaultdict(list)
+    with tracks.open(encoding='utf-8') as stream:
+        for row in csv.DictReader(stream):
+            rows[int(row['particle'])].append(
+                (float(row['frame']), float(row['x_px']), float(row['y_px'])))
+    return {name: (np.array(of)[:, 0].astype(int), np.array(of)[:, 1:])
+            for name, of in rows.items()}
+
+
+def _agreement(robot: int, particle: int, frame: np.ndarray, seen: np.ndarray,
+               place: np.ndarray) -> Agreement | None:
+    """Return how the places `seen` (n, 2) [px] in frames (n,) agree with the table's `place`.
+
+    `place` (frames, 2) [px] is NaN where the table has none; None where they share no two frames.
+    """
+    both = np.isfinite(place[frame]).all(axis=1)
+    if both.sum() < 2:
+        return None
+    told, off = place[frame][both], place[frame][both] - seen[both]
+    plain = _rms(off)
+    window = min(_rms(off - whole(told)) for whole in (np.floor, np.rint))
+    x, y = off.mean(axis=0).tolist()
+    return Agreement(robot, particle, int(both.sum()), plain, (x, y),
+                     window if window < _CLEARER * plain else None)
+
+
+def _rms(off: np.ndarray) -> float:
+    """Return the root mean square of differences (n, 2) about their mean, per coordinate."""
+    return float(np.sqrt(np.mean((off - off.mean(axis=0)) ** 2)))

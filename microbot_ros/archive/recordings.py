@@ -10,6 +10,7 @@ import hashlib
 import os
 import re
 import zipfile
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -233,6 +234,21 @@ def _table(file: Path) -> str:
     if summary_of([(sheet, columns)]):
         return 'spreadsheet'  # whose import says what it is
     return 'expected columns of positions or commands; it has neither'
+
+
+def pairs(found: Sequence[Found]) -> dict[Path, Found]:
+    """Return the table of each film that lies beside it under its name: {path of a film: table}.
+    """
+    films: dict[tuple[Path, str], list[Path]] = defaultdict(list)
+    tables: dict[tuple[Path, str], list[Found]] = defaultdict(list)
+    for one in found:
+        key = (one.path.parent, one.path.name if one.path.is_dir() else one.path.stem)
+        if one.kind == 'film':
+            films[key].append(one.path)
+        elif one.kind == 'table' and len(one.files) == 1:
+            tables[key].append(one)
+    return {films[key][0]: of[0] for key, of in tables.items()
+            if len(of) == 1 and len(films[key]) == 1}
 
 
 def in_parallel(found: Sequence[Found], cards: FileCards,

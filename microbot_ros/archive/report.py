@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from datetime import date
 from pathlib import Path
+from typing import Any
 
 import jinja2
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from microbot_ros.archive.conclusions import Conclusions, listed, refused
 from microbot_ros.archive.quantities import LABELS, Quantity
 from microbot_ros.archive.random_effects import Spread
-from microbot_ros.archive.report_figures import draw_parameters, draw_quantities
 from microbot_ros.archive.store import REPORT, Archive
 from microbot_ros.common.files import write_text
 from microbot_ros.discovery.report import words as report_words
@@ -19,6 +23,10 @@ from microbot_ros.discovery.report.words import number
 from microbot_ros.model.effects import EFFECTS
 
 _TEMPLATE = Path(__file__).with_name('report.html')
+
+# Okabe and Ito's colours; rigs are told by markers, too.
+_COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9', '#000000')
+_MARKERS = 'osD^vP*X'
 
 
 def write_report(archive: Archive, found: Conclusions) -> Path:
@@ -74,3 +82,71 @@ def _between(found: Spread | None) -> str:
     if found is None or found.count < 2:
         return '–'
     return f'{number(found.between)} ({number(found.between_low)} to {number(found.between_high)})'
+
+
+def draw_quantities(known: Sequence[Quantity]) -> Figure | None:
+    """Every quantity `known` by day, or by session where no day is known; None for none.
+
+    Rigs have colours, batches markers.
+    """
+    if not known:
+        return None
+    figure = Figure(figsize=(11, 2.4 * len(known) + 0.5), layout='constrained')
+    axes = figure.subplots(len(known), 1, squeeze=False).ravel()
+    for axis, one in zip(axes, known, strict=True):
+        _draw(axis, one)
+    handles, labels = axes[0].get_legend_handles_labels()
+    if len(handles) > 1:
+        figure.legend(handles, labels, loc='outside upper right', ncols=6, frameon=False)
+    return figure
+
+
+def draw_parameters(known: Sequence[Quantity]) -> Figure:
+    """The parameters `known` of one effect in the sessions that have it, with mean and spread."""
+    figure = Figure(figsize=(11, 2.4 * len(known) + 0.5), layout='constrained')
+    for axis, one in zip(figure.subplots(len(known), 1, squeeze=False).ravel(), known,
+                         strict=True):
+        _draw(axis, one)
+    return figure
+
+
+def _draw(axis: Axes, one: Quantity) -> None:
+    dated = bool(np.isfinite(one.days).all()) and len(set(one.days.tolist())) > 1
+    x = one.days if dated else np.arange(1.0, len(one.value) + 1)
+    if (of := one.spread) is not None:
+        half = 1.96 * float(np.nan_to_num(of.between))
+        axis.axhspan(of.mean - half, of.mean + half, color='#999999', alpha=0.2, lw=0)
+        axis.axhline(of.mean, color='#999999', lw=1)
+    for group, rows, style in _styles(one):
+        axis.errorbar(x[rows], one.value[rows], 1.96 * one.std[rows], ls='none', ms=4,
+                      elinewidth=0.7, label=group, **style)
+    if dated:
+        ticks = np.unique(np.linspace(x.min(), x.max(), 8).round())
+        axis.set_xticks(ticks, [date.fromordinal(int(day)).isoformat() for day in ticks])
+    else:
+        axis.set_xlabel('session, in the order of the table', fontsize=8)
+    axis.set_ylabel(one.title.replace('.', '\n'), fontsize=9)
+    axis.tick_params(labelsize=8)
+    axis.spines[['top', 'right']].set_visible(False)
+
+
+def _styles(one: Quantity) -> list[tuple[str, list[int], dict[str, Any]]]:
+    """(name, sessions, colour and marker) of each rig and batch, in the order of their names."""
+    count = len(one.value)
+    rigs, batches = (_group_of(one.groups[label], count) for label in ('rig', 'batch'))
+    result = []
+    for rig, batch in sorted(set(zip(rigs, batches, strict=True))):
+        rows = [k for k in range(count) if (rigs[k], batches[k]) == (rig, batch)]
+        style = {'color': _COLOURS[sorted(set(rigs)).index(rig) % len(_COLOURS)],
+                 'marker': _MARKERS[sorted(set(batches)).index(batch) % len(_MARKERS)]}
+        result.append((', '.join(filter(None, (rig, batch))) or 'sessions', rows, style))
+    return result
+
+
+def _group_of(groups: dict[str, list[int]], count: int) -> list[str]:
+    """The group of each of `count` sessions; '' for none."""
+    names = [''] * count
+    for name, rows in groups.items():
+        for k in rows:
+            names[k] = name
+    return names

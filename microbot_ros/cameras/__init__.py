@@ -1,1 +1,1 @@
-"""Cameras and files as sources of frames, each with its moment of exposure and its number."""
+"""Cameras and files as sources of frames, each with its time of exposure and its number."""

@@ -1,6 +1,6 @@
-"""What every kind of camera is: opened by settings, read frame by frame, closed.
+"""Contract of all camera kinds: opened with settings, read frame by frame, closed.
 
-A kind of one's own is a subclass of `CameraDriver` in any package, by the entry point
+Another package adds a kind as a subclass of `CameraDriver` under the entry point
 `microbot_ros.cameras`; docs/reference/cameras.md has a template.
 """
 
@@ -24,19 +24,19 @@ from microbot_ros.common.plugins import installed
 from microbot_ros.common.settings import setting
 
 GROUP = 'microbot_ros.cameras'
-INTERFACE_VERSION = 1
+INTERFACE_VERSION = 1  # raised when a driver written for the contract would no longer work
 ENCODINGS = {
     'mono8': (np.uint8, 1), 'mono16': (np.uint16, 1),
     'bgr8': (np.uint8, 3), 'rgb8': (np.uint8, 3), 'bgra8': (np.uint8, 4), 'rgba8': (np.uint8, 4),
     'bayer_rggb8': (np.uint8, 1), 'bayer_bggr8': (np.uint8, 1),
     'bayer_gbrg8': (np.uint8, 1), 'bayer_grbg8': (np.uint8, 1),
 }
-"""How pixels are laid out, in the names of sensor_msgs → the type of a value, values per pixel."""
+"""Pixel layout, as named in sensor_msgs → type of a value, values per pixel."""
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What is asked of a camera. What it can't do is refused: nothing is silently left undone."""
+    """Settings requested from a camera; one that it cannot fulfil is refused, never ignored."""
 
     source: str = setting(
         '', 'What to read: a device number (0) or path (/dev/video0), a video file, a folder of '
@@ -70,13 +70,13 @@ class CameraSettings:
 
     @property
     def asked(self) -> list[str]:
-        """Names of what was asked for, beside the source."""
+        """Names of the settings that differ from their defaults, without `source`."""
         return [name for name, default in settings.defaults(CameraSettings).items()
                 if name != 'source' and getattr(self, name) != default]
 
 
 class Clock(StrEnum):
-    """Where the moments of exposure come from."""
+    """Origin of the exposure times."""
 
     HOST = 'this computer’s, stamped in its driver'
     DEVICE = 'the camera’s own, brought to this computer’s'
@@ -85,13 +85,27 @@ class Clock(StrEnum):
 
 @dataclass(frozen=True)
 class CameraFormat:
-    """What an open camera gives: `height` and `width` [px] of its frames, their `encoding` (one
-    of `ENCODINGS`), its own name for the `pixel_format`, and the `clock` of their stamps.
+    """Format of the frames of an open camera.
 
-    `frame_rate` [Hz] is None where the device does not say. `least_delay` [s] passes at least
-    between the beginning of an exposure and the arrival of its frame: the exposure, where that is
-    known. `offset` is the first column and row of a region, `sensor` (height, width) [px] the
-    whole, None where that is not known. After `patience` [s] without a frame it is taken for lost.
+    Attributes
+    ----------
+    height, width : int [px]
+    encoding : str
+        One of `ENCODINGS`.
+    pixel_format : str
+        The device's own name of the format.
+    clock : Clock
+    frame_rate : float or None
+        Rate [Hz], None if the device does not report it.
+    least_delay : float
+        Shortest time [s] from the start of an exposure to the arrival of its frame: the exposure
+        time, if it is known.
+    offset : (int, int)
+        First column and row of the region [px].
+    sensor : (int, int) or None
+        Height and width of the whole sensor [px], None if unknown.
+    patience : float
+        Time [s] without a frame after which the camera counts as lost.
     """
 
     height: int
@@ -108,11 +122,18 @@ class CameraFormat:
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """One picture: the device's `number` of it, and its `image`, valid until the next is read.
+    """One picture, valid until the next is read.
 
-    `image` is (H, W), or (H, W, values per pixel), in the format's encoding. `arrived` [s] is
-    when it did, on the monotonic clock. `exposed` [s] is when its exposure began, by the format's
-    clock; NaN where that does not say.
+    Attributes
+    ----------
+    number : int
+        Number that the device gives the frame.
+    image : (H, W) or (H, W, values per pixel) array
+        In the encoding of the format.
+    arrived : float
+        Time of arrival on the monotonic clock [s].
+    exposed : float
+        Start of the exposure on the clock of the format [s], NaN if it has none.
     """
 
     number: int
@@ -121,20 +142,28 @@ class CameraFrame:
     exposed: float = math.nan
 
 
-class EndOfFrames(Exception):  # noqa: N818 — no error: a film ends
+class EndOfFrames(Exception):  # noqa: N818 — the normal end of a file, not an error
     """A file has no more frames."""
 
 
 class CameraDriver(ABC):
-    """A source of frames, by `wanted` settings; `report` is given sentences about what is odd.
+    """Base of all camera kinds; one thread opens, reads and closes it, possibly repeatedly.
 
-    `open`, `read` until it has been enough, `close`, and perhaps again. Numbers of frames go up
-    by one with every exposure, so that those that never arrived are known. One thread calls it.
+    Frame numbers increase by one with every exposure, so that missing frames can be counted.
+
+    Parameters
+    ----------
+    wanted : CameraSettings
+    report : callable
+        Takes a sentence about anything unusual.
     """
 
     interface_version: ClassVar[int] = INTERFACE_VERSION
     wraps_after: ClassVar[int] = 0
-    """How many numbers there are where they begin anew, as 65535 in GigE Vision; 0: they don't."""
+    """Number of frame numbers before they start again (65535 for GigE Vision).
+
+    0 if they do not.
+    """
 
     def __init__(self, wanted: CameraSettings, report: Callable[[str], None]) -> None:
         self.wanted = wanted
@@ -142,40 +171,41 @@ class CameraDriver(ABC):
 
     @abstractmethod
     def open(self) -> CameraFormat:
-        """Open the device, set it up as wanted and let it run.
+        """Open the device, apply the settings and start it.
 
-        InputError, with nothing left open, where that can't be: no such device, a setting that
-        it does not have or take.
+        Raises InputError, with nothing left open, if there is no such device or it refuses a
+        setting.
         """
 
     @abstractmethod
     def read(self, timeout: float) -> CameraFrame | None:
-        """The next frame; None where none came within `timeout` [s].
+        """Return the next frame, or None if none arrives within `timeout` [s].
 
-        Frames that arrived damaged are left out; their number is missing then. InputError where
-        the device is lost; EndOfFrames at the end of a film.
+        Damaged frames are skipped, so that their numbers are missing. Raises InputError if the
+        device is lost and EndOfFrames at the end of a file.
         """
 
     @property
     def dropped(self) -> int:
-        """Frames since `open` that this computer is known to have had no room for, where their
-        numbers need not tell."""
+        """Frames since `open` that this computer dropped for lack of buffers, if counted."""
         return 0
 
     @abstractmethod
     def close(self) -> None:
-        """Give back the device; harmless where it is closed, or gone."""
+        """Release the device. Has no effect if it is closed or disconnected."""
 
     def refuse(self, *names: str, why: str = '') -> None:
-        """InputError where a setting of these `names` is asked for, which this kind hasn't;
-        `why` says what to do instead."""
+        """Raise InputError if a setting in `names`, which this kind does not have, is requested.
+
+        `why` tells the user what to do instead.
+        """
         for name in names:
             if name in self.wanted.asked:
                 raise InputError(self.wanted.source, f'has no {name} to set'
                                  + (why and f'; {why}'))
 
     def within(self, name: str, lowest: float, highest: float) -> float:
-        """The setting of this `name` if it is from `lowest` to `highest`, else InputError."""
+        """Return the setting `name` if it is from `lowest` to `highest`, else raise InputError."""
         value: float = getattr(self.wanted, name)
         if not lowest <= value <= highest:
             unit = units.symbol(name)
@@ -184,7 +214,7 @@ class CameraDriver(ABC):
         return value
 
     def one_of(self, name: str, known: list[str]) -> str:
-        """The setting of this `name` if it is among the `known`, else InputError."""
+        """Return the setting `name` if it is among the `known` ones, else raise InputError."""
         value: str = getattr(self.wanted, name)
         if value not in known:
             raise InputError(self.wanted.source, f'{name} must be one of {", ".join(known)}; '
@@ -194,10 +224,10 @@ class CameraDriver(ABC):
 
 @functools.cache
 def camera_class(kind: str) -> type[CameraDriver]:
-    """The class registered for a `kind` of camera in the entry-point group `microbot_ros.cameras`.
+    """Return the class registered for a `kind` in the entry-point group `microbot_ros.cameras`.
 
-    InputError for one that is not there, does not load or is written for another contract: there
-    is no falling back to another.
+    Raises InputError if it is missing, cannot be loaded or has another interface version; no other
+    kind is tried.
     """
     found = installed(GROUP, 'camera', kind)
     if not (isinstance(found, type) and issubclass(found, CameraDriver)):
@@ -209,14 +239,14 @@ def camera_class(kind: str) -> type[CameraDriver]:
 
 
 def kind_of(kind: str, source: str) -> str:
-    """The `kind` of camera; '' stands for v4l2 where `source` is a device, else for a file."""
+    """Return `kind`; if it is '', v4l2 for a `source` that is a device, else file."""
     if kind:
         return kind
     return 'v4l2' if source.isdigit() or source.startswith('/dev/') else 'file'
 
 
 def optional(package: str, kind: str) -> ModuleType:
-    """The module of an optional `package`, which a `kind` of camera needs, or InputError."""
+    """Import the optional `package` that a camera `kind` needs, or raise InputError."""
     try:
         return importlib.import_module(package)
     except ImportError as error:

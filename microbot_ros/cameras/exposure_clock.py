@@ -1,29 +1,36 @@
-"""Moments of exposure on this computer's monotonic clock, from the stamps of a camera."""
+"""Exposure times on this computer's monotonic clock, from the time stamps of a camera."""
 
 from __future__ import annotations
 
 import math
 
 _DRIFT = 2e-4
-"""Crystals are good to 50 ppm; clocks that follow a time server are turned by some more."""
+"""Choice: crystals are good to 50 ppm; clocks that follow a time server are corrected by more."""
 _OLDEST_S = 60.0
-"""A frame that has been on its way for longer has a stamp of another clock."""
+"""Choice: a stamp older than this on arrival is from another clock."""
 
 
 class ExposureClock:
-    """When exposures began, from what a device's clock said and when their frames arrived.
+    """Map from a camera's time stamps to this computer's monotonic clock.
 
-    A device's clock runs at an offset from ours that is not known, but no frame arrives before
-    `least_delay` [s] after its exposure began: the offset is at most the least of arrival −
-    `least_delay` − stamp. That minimum is kept, and allowed to rise by 200 ppm of the time that
-    passes, so that clocks may drift apart. (Taken from synchronisation over networks, where the
-    packet with the least delay tells the offset: Mills, RFC 5905, clock filter.)
+    The offset between the clocks is unknown, but no frame arrives before `least_delay` after the
+    start of its exposure: the offset is at most the minimum of arrival − `least_delay` − stamp.
+    That minimum is kept and may rise by 200 ppm of the elapsed time, so that the clocks may drift
+    apart (the clock filter of network time synchronisation: Mills, RFC 5905, where the packet with
+    the least delay determines the offset).
 
-    So a moment is never in the future, never before one that was given earlier, and, while the
-    clocks drift by less than that, at most as late as the fastest frame lately was on its way
-    beyond `least_delay`. Where `same_clock`, the stamps are on our clock already. A stamp that is
-    NaN, infinite or of no sense is none: the frame is taken for as fast as can be. A device's
-    clock that goes back has been set anew, and so is the offset (`restarts` counts).
+    A returned time is therefore never in the future and never before an earlier one. While the
+    clocks drift by less than 200 ppm, it is late by at most the extra delay of the fastest recent
+    frame. A stamp that is not finite or implausible is ignored: its frame counts as the fastest
+    possible. When the device's clock goes back, the offset is determined anew (`restarts` counts
+    this).
+
+    Parameters
+    ----------
+    least_delay : float
+        Shortest time from the start of an exposure to the arrival of its frame [s].
+    same_clock : bool
+        Whether stamps are on this computer's monotonic clock already.
     """
 
     def __init__(self, least_delay: float = 0.0, same_clock: bool = False) -> None:
@@ -35,8 +42,11 @@ class ExposureClock:
         self.restarts = 0
 
     def moment(self, stamp: float, arrived: float) -> float:
-        """When the exposure began [s, ours], by the device's `stamp` of it [s, its own]; its frame
-        `arrived` at [s, ours]."""
+        """Return the start of an exposure on this computer's clock [s].
+
+        `stamp` is its time on the device's clock [s], `arrived` the arrival of the frame on ours
+        [s].
+        """
         latest = arrived - self._least_delay
         if not math.isfinite(stamp):
             moment = latest

@@ -1,4 +1,4 @@
-"""Kind `file`: a video, a folder of images or a glob, at its own pace."""
+"""Camera kind `file`: a video, a folder of images or a glob, at its own rate."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from microbot_ros.common.errors import InputError
 
 
 class FileCamera(CameraDriver):
-    """Frames of a file, each at its time; those that can't be decoded are left out and said."""
+    """Frames of a file, each at its time.
+
+    Frames that cannot be decoded are reported and skipped.
+    """
 
     def open(self) -> CameraFormat:
         if not self.wanted.source:
@@ -38,7 +41,7 @@ class FileCamera(CameraDriver):
         frame, now = self._peek(), time.monotonic()
         if math.isnan(self._begin):
             self._begin = now - frame.t
-        # Paced by its begin, not by the frame before: lateness does not add up.
+        # Timed from the start and not from the previous frame, so that delays do not add up.
         due = self._begin + frame.t
         time.sleep(min(max(0.0, due - now), timeout))
         if due > now + timeout:

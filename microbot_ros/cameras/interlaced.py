@@ -1,4 +1,4 @@
-"""Interlaced pictures: even and odd rows show two moments, so that what moves is combed."""
+"""Interlaced pictures: even and odd rows show two times, so that moving objects look combed."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from collections.abc import Iterable
 import numpy as np
 
 _STEP = 12.0
-"""Least difference to the rows above and below that is a comb's [grey levels of 255]."""
+"""Choice: least difference to the rows above and below that counts as combed [grey of 255]."""
 
 _OFTEN = 4.0
-"""How much more often than rows of one moment the rows of a picture must differ so."""
+"""Choice: how much more often adjacent rows must be combed than rows of one field."""
 
 _LEAST = 30
-"""Pixels in all pictures: fewer are chance."""
+"""Choice: fewer combed pixels in all pictures count as chance."""
 
 
 def interlaced(pictures: Iterable[np.ndarray]) -> bool:
-    """Whether `pictures` (H, W), some time apart, are interlaced.
+    """Return whether `pictures` (H, W), some time apart, are interlaced.
 
-    Where something moved, rows differ from both neighbours alike. What is really there, noise and
-    stripes, is as striped in the rows of one moment.
+    Where something moved between the fields, a row differs from both its neighbours in the same
+    direction. Real structures, noise and stripes do so within one field as well.
     """
     combed = striped = 0
     before = None
@@ -35,7 +35,7 @@ def interlaced(pictures: Iterable[np.ndarray]) -> bool:
 
 
 def _outstanding(grey: np.ndarray, away: int) -> np.ndarray:
-    """Whether in each pixel (H − 4, W) a row is above, or below, both rows so far `away`."""
+    """Return where a row is above, or below, both rows at distance `away`, shape (H − 4, W)."""
     middle, rows = grey[2:-2], len(grey) - 4
     product = ((middle - grey[2 - away:2 - away + rows])
                * (middle - grey[2 + away:2 + away + rows]))
@@ -43,8 +43,7 @@ def _outstanding(grey: np.ndarray, away: int) -> np.ndarray:
 
 
 def one_field(picture: np.ndarray) -> np.ndarray:
-    """The `picture` (H, W) or (H, W, C) of the moment of its even rows: between them, their mean.
-    """
+    """Return `picture` (H, W) or (H, W, C) with its odd rows interpolated from the even ones."""
     whole = picture.copy()
     above, below = picture[:-1:2], picture[2::2]
     whole[1:2 * len(below):2] = (above[:len(below)].astype(np.uint32) + below + 1) // 2

@@ -1,4 +1,4 @@
-"""Kind `micromanager`: whatever camera Micro-Manager has an adapter for."""
+"""Camera kind `micromanager`: any camera with a Micro-Manager adapter."""
 
 from __future__ import annotations
 
@@ -19,16 +19,19 @@ from microbot_ros.cameras.pixels import encoding_of, picture
 from microbot_ros.common.errors import InputError
 
 _ENCODINGS = {'GRAY8': 'mono8', 'GRAY16': 'mono16', 'RGB32': 'bgra8'}
-_BUFFER_MB = 256
+_BUFFER_MB = 256  # choice: 120 frames of 2048×1088, 8 bit
 _FOR_EVER = 2**31 - 1
-"""Frames. A sequence without an end makes its buffer anew when that runs over, under whoever takes
-a frame out of it, and the process ends (MMCore 12); one with an end stops, and is begun again."""
+"""Frames of a sequence, which is restarted at its end.
+
+A sequence without an end reallocates its buffer on overflow while a frame is taken from it, which
+crashes the process (MMCore 12).
+"""
 _POLL_S = 0.0005
-"""MMCore has nothing to wait on."""
+"""Choice: polling interval; MMCore offers nothing to wait on."""
 
 
 class MicroManagerCamera(CameraDriver):
-    """The camera of a Micro-Manager configuration (a .cfg file), or `demo`."""
+    """Camera of a Micro-Manager configuration (.cfg file), or `demo`."""
 
     def open(self) -> CameraFormat:
         self._core: Any = None
@@ -104,7 +107,7 @@ class MicroManagerCamera(CameraDriver):
                         wanted.height_px or height - wanted.offset_y_px)
 
     def _expose(self, exposure_ms: float) -> None:
-        """MMCore takes any, and some adapters keep what they can do to themselves."""
+        """Set and read back the exposure time: some adapters clip it silently."""
         core, camera = self._core, self._core.getCameraDevice()
         if core.hasProperty(camera, 'Exposure') and core.hasPropertyLimits(camera, 'Exposure'):
             self.within('exposure_ms', core.getPropertyLowerLimit(camera, 'Exposure'),
@@ -115,7 +118,7 @@ class MicroManagerCamera(CameraDriver):
                              f'received {exposure_ms:g}')
 
     def _property(self, name: str, its: str, value: str) -> None:
-        """Set the camera's property of `its` name by the setting of ours."""
+        """Set the camera's property `its` from the setting `name`."""
         core, camera = self._core, self._core.getCameraDevice()
         if not core.hasProperty(camera, its):
             self.refuse(name)
@@ -127,7 +130,7 @@ class MicroManagerCamera(CameraDriver):
         core.setProperty(camera, its, value)
 
     def _first_format(self) -> CameraFormat:
-        """Pixels are told with frames only: it takes the first of them, and lets it go."""
+        """Return the format; it is known only with a frame, so the first is taken and dropped."""
         exposure = self._core.getExposure() * 1e-3
         deadline = time.monotonic() + 3.0 + 2 * exposure
         while not self._core.getRemainingImageCount():
@@ -159,8 +162,7 @@ class MicroManagerCamera(CameraDriver):
 
 
 def _adapters() -> list[str]:
-    """Folders of device adapters: Micro-Manager's (MICROMANAGER_PATH), those that pymmcore-plus
-    installed, and the demo camera's, where they are there."""
+    """Return the adapter folders of MICROMANAGER_PATH, pymmcore-plus and the demo camera."""
     folders = [path] if (path := os.environ.get('MICROMANAGER_PATH')) else []
     with suppress(ImportError):
         from pymmcore_plus import find_micromanager

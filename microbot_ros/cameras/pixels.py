@@ -1,4 +1,4 @@
-"""Bytes of a device as pictures, without a copy; the names of pixel formats."""
+"""Buffers of a device as pictures without a copy, and names of pixel formats."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ GENICAM = {
     'BGR8': 'bgr8', 'BGR8Packed': 'bgr8', 'RGB8': 'rgb8', 'RGB8Packed': 'rgb8',
     'BGRa8': 'bgra8', 'BGRA8Packed': 'bgra8', 'RGBa8': 'rgba8', 'RGBA8Packed': 'rgba8',
 }
-"""GenICam's names of pixel formats (PFNC 2.4, and those before) → encodings."""
+"""GenICam pixel formats (PFNC 2.4 and earlier names) → encodings."""
 
 
 def encoding_of(pixel_format: str, known: dict[str, str], source: str) -> str:
-    """The encoding of a `pixel_format` among the `known`; InputError, of `source`, for another."""
+    """Return the encoding of a `pixel_format` among the `known`, or blame `source`."""
     if pixel_format not in known:
         raise InputError(source, f'gives pixels as {pixel_format}; expected a pixel_format of '
                          f'{", ".join(known)}')
@@ -29,10 +29,21 @@ def encoding_of(pixel_format: str, known: dict[str, str], source: str) -> str:
 
 
 def picture(data: Any, encoding: str, height: int, width: int, stride: int = 0) -> np.ndarray:
-    """The `data`, a buffer, as (height, width) or (height, width, values) of an `encoding`.
+    """View a buffer as a picture (height, width) or (height, width, values), without a copy.
 
-    `stride` is the length of a row in bytes, 0 where nothing follows the pixels. Nothing is
-    copied. ValueError for fewer bytes than that.
+    Parameters
+    ----------
+    data : buffer
+    encoding : str
+        One of `ENCODINGS`.
+    height, width : int [px]
+    stride : int
+        Length of a row [bytes]; 0 if there is no padding.
+
+    Raises
+    ------
+    ValueError
+        If the buffer is too short.
     """
     kind, values = ENCODINGS[encoding]
     row = width * values * np.dtype(kind).itemsize

@@ -1,4 +1,4 @@
-"""Kind `pylon`: Basler's cameras, and its emulator (PYLON_CAMEMU=1)."""
+"""Camera kind `pylon`: Basler cameras and their emulator (PYLON_CAMEMU=1)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from microbot_ros.cameras.camera import CameraDriver, CameraFormat, CameraFrame,
 from microbot_ros.cameras.pixels import GENICAM, encoding_of, picture
 from microbot_ros.common.errors import InputError
 
-_BUFFERS = 32
-_NO_NUMBER = 2**64 - 1
+_BUFFERS = 32  # choice: 0.3 s of frames at 100 frames/s
+_NO_NUMBER = 2**64 - 1  # the block ID of transports that have none
 _EMULATOR = 'BaslerCamEmu'
 
 
 class PylonCamera(CameraDriver):
-    """A Basler camera, by serial number, user-defined name or IP address."""
+    """Basler camera, by serial number, user-defined name or IP address."""
 
     wraps_after = 65535  # GigE Vision without extended block IDs
 
@@ -62,7 +62,7 @@ class PylonCamera(CameraDriver):
     def close(self) -> None:
         if self._device is None:
             return
-        # A camera that is gone can't be told to stop.
+        # A disconnected camera cannot be stopped.
         with suppress(self._errors):
             self._release()
             self._device.StopGrabbing()
@@ -84,7 +84,7 @@ class PylonCamera(CameraDriver):
             raise InputError(self.wanted.source, f'pylon says: {reason}') from None
 
     def _found(self) -> Any:
-        """The one device of that name; InputError for none or several."""
+        """Create the one device with the name in `source`; InputError for none or several."""
         factory = self._pylon.TlFactory.GetInstance()
         devices = factory.EnumerateDevices()
         names = [(each.GetSerialNumber(), each.GetUserDefinedName(), each.GetFullName(),
@@ -119,7 +119,7 @@ class PylonCamera(CameraDriver):
             self._trigger()
 
     def _region(self) -> None:
-        """First to the corner: what fits depends on where it begins."""
+        """Set the region, with the offset at zero first: the size limits depend on it."""
         sizes = (('width_px', 'Width'), ('height_px', 'Height'))
         offsets = (('offset_x_px', 'OffsetX'), ('offset_y_px', 'OffsetY'))
         if not any(name in self.wanted.asked for name, _ in (*sizes, *offsets)):
@@ -134,13 +134,13 @@ class PylonCamera(CameraDriver):
         device = self._device
         if 'FrameStart' in device.TriggerSelector.Symbolics:
             device.TriggerSelector.Value = 'FrameStart'
-        # A software trigger would wait for somebody to give it.
+        # Nothing here would send a software trigger.
         lines = [name for name in device.TriggerSource.Symbolics if name != 'Software']
         device.TriggerSource.Value = self.one_of('trigger', lines)
         device.TriggerMode.Value = 'On'
 
     def _set(self, name: str, value: float, *nodes: str) -> None:
-        """The first of the `nodes` that the camera has takes `value`, a setting's in its unit."""
+        """Set the first available node to `value`, the setting `name` in the node's unit."""
         node = self._node(*nodes)
         if node is None:
             self.refuse(name)
@@ -161,7 +161,7 @@ class PylonCamera(CameraDriver):
             node.TrySetValue('Off')
 
     def _value(self, *names: str) -> float:
-        """What the first of the nodes of these `names` that is there holds; NaN for none."""
+        """Return the value of the first of the nodes `names` that exists; NaN if none does."""
         node = self._node(*names)
         return math.nan if node is None else node.Value
 

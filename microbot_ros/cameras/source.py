@@ -1,4 +1,4 @@
-"""Frames of a file: a video, a folder of images, a glob."""
+"""Frames of a video, a folder of images or a glob."""
 
 from __future__ import annotations
 
@@ -14,20 +14,26 @@ import numpy as np
 
 from microbot_ros.common.errors import InputError
 
-# FFmpeg writes its own complaints to standard error; what matters of them is said by us, once.
+# FFmpeg logs to standard error by itself; what matters is reported once, by this module.
 os.environ.setdefault('OPENCV_FFMPEG_LOGLEVEL', '-8')
 os.environ.setdefault('OPENCV_LOG_LEVEL', 'ERROR')
 
 _IMAGES = ('.png', '.tif', '.tiff', '.bmp', '.jpg', '.jpeg', '.pgm', '.webp')
 _MISCOUNT = 2
-"""Containers state their length from duration × rate, which is off by a frame or two."""
+"""Choice: containers state length as duration × rate, which is off by a frame or two."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture: its `index` in the source, its time `t` [s], `image` (H, W) uint8 or uint16.
+    """One picture.
 
-    Of another shape where the source was told to see pictures otherwise than as grey.
+    Attributes
+    ----------
+    index : int
+        Position in the source.
+    t : float [s]
+    image : (H, W) array
+        Grey, uint8 or uint16; of another shape if a `see` function was given to the source.
     """
 
     index: int
@@ -36,11 +42,11 @@ class Frame:
 
 
 See = Callable[[Any], np.ndarray | None]
-"""What a decoded picture, an array, is seen as; None where it can't be."""
+"""Function from a decoded picture to the array that a frame holds; None to skip the picture."""
 
 
 class Source(Protocol):
-    """Frames in order. `frame_rate` [Hz] and `length` are None where the source can't say."""
+    """Frames in order; `frame_rate` [Hz] and `length` are None if unknown."""
 
     name: str
     size: tuple[int, int]
@@ -48,10 +54,10 @@ class Source(Protocol):
     length: int | None
 
     def frames(self) -> Iterator[Frame]:
-        """Every frame that can be decoded; what can't is reported and left out.
+        """Yield every frame that can be decoded; others are reported and skipped.
 
-        `size` is (height, width) of the first frame; frames of another size are reported and
-        left out. Raises InputError if the source yields no frame at all.
+        So are frames of another size than the first, which is `size` (height, width). Raises
+        InputError if there is no frame at all.
         """
         ...
 
@@ -62,12 +68,23 @@ def open_source(
     frame_rate: float | None = None,
     see: See | None = None,
 ) -> Source:
-    """A video file, a folder of images or a glob of images.
+    """Open a video file, a folder of images or a glob of images.
 
-    `report` gets one line for everything that had to be left out. `frame_rate` [Hz] overrides
-    what a video says of itself; images without one are timed one per second, so that t counts
-    frames. `see` makes of a decoded picture what frames hold, `grey` if not said.
-    Raises InputError for what is missing, empty, or not decodable.
+    Parameters
+    ----------
+    source : str or Path
+    report : callable
+        Takes one line for everything that is skipped.
+    frame_rate : float, optional
+        Rate [Hz] that overrides that of a video. Images without one are one per second apart, so
+        that t counts frames.
+    see : callable, optional
+        Function from a decoded picture to the array of a frame; by default `grey`.
+
+    Raises
+    ------
+    InputError
+        If the source is missing, empty or cannot be decoded.
     """
     see = see or grey
     if frame_rate is not None and not 0 < frame_rate < float('inf'):
@@ -89,7 +106,7 @@ def open_source(
 
 
 def grey(image: Any) -> np.ndarray | None:
-    """A decoded `image`, an array, as (H, W) grey of its own depth; None if not 8 or 16 bit."""
+    """Convert a decoded `image`, an array, to grey (H, W); None if not 8 or 16 bit."""
     import cv2
 
     picture = decoded(image)
@@ -100,18 +117,19 @@ def grey(image: Any) -> np.ndarray | None:
 
 
 def decoded(image: Any) -> np.ndarray | None:
-    """A decoded `image`, an array, as it is, (H, W) or (H, W, 3 or 4) with blue first; None if not
-    8 or 16 bit.
+    """Return a decoded `image`, an array, if it has 8 or 16 bit, else None.
+
+    Its shape is (H, W), or (H, W, 3 or 4) with blue first.
     """
     usual = image.ndim == 2 or image.shape[2] in (3, 4)
     return image if usual and image.dtype in (np.uint8, np.uint16) else None
 
 
 class VideoSource:
-    """A video file, decoded once from start to end.
+    """Video file, decoded from start to end.
 
-    `report` is given sentences about what is odd; `frame_rate` [Hz] overrules the source's own;
-    `see` as for `open_source`.
+    `report` takes sentences about anything unusual; `frame_rate` [Hz] overrides that of the file;
+    `see` as in `open_source`.
     """
 
     def __init__(
@@ -138,7 +156,7 @@ class VideoSource:
         self._first: np.ndarray | None = first
 
     def frames(self) -> Iterator[Frame]:
-        """See `Source.frames`; a second call starts again."""
+        """Yield the frames as `Source.frames`; a second call starts again."""
         import cv2
 
         if self._first is None:
@@ -165,7 +183,7 @@ class VideoSource:
             self._report(f'{self.name}: ends after {index} of {self.length} frames')
 
     def _time(self, index: int, previous: float, stamp: float) -> float:
-        """The container's stamp where it moves on, frames may be uneven in time; else a count."""
+        """Return the container's time stamp if it increases, else count frames."""
         if self._forced_rate:
             return index / self._forced_rate
         if index == 0:
@@ -179,8 +197,8 @@ class VideoSource:
 class ImageSource:
     """Images as frames, in natural order of their names (2 before 10).
 
-    `report` is given sentences about what is odd; `frame_rate` [Hz] overrules the source's own;
-    `see` as for `open_source`.
+    `report` takes sentences about anything unusual; `frame_rate` [Hz] spaces the images; `see` as
+    in `open_source`.
     """
 
     def __init__(
@@ -204,7 +222,7 @@ class ImageSource:
         self.size = first.shape[:2]
 
     def frames(self) -> Iterator[Frame]:
-        """See `Source.frames`; a second call starts again."""
+        """Yield the frames as `Source.frames`; a second call starts again."""
         for index, path in enumerate(self._paths):
             image = _read_image(path, self._see)
             if image is None:
@@ -219,7 +237,7 @@ class ImageSource:
 
 
 def read_picture(path: Path) -> np.ndarray:
-    """One image file as (H, W) grey uint8 or uint16; InputError where it can't be decoded."""
+    """Read the image file `path` as grey (H, W), 8 or 16 bit, or raise InputError."""
     image = _read_image(path, grey)
     if image is None:
         raise InputError(path, 'expected a picture of 8 or 16 bit; it can not be decoded')
@@ -238,7 +256,7 @@ def _read_image(path: Path, see: See) -> np.ndarray | None:
 
 
 def natural_order(path: Path) -> list[str | tuple[int, str]]:
-    """A key by which the file at `path` comes in natural order: 2 before 10."""
+    """Return a sort key for the file `path` in natural order: 2 before 10."""
     parts = re.split(r'(\d+)', str(path))
     return [f'{int(part):020d}' if part.isdigit() else part for part in parts]
 

@@ -1,4 +1,4 @@
-"""The frames of a camera, each once, with its moment of exposure; what is lost is counted."""
+"""Frames of a camera, each once, with its exposure time; lost frames are counted."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from microbot_ros.common.errors import InputError
 
 
 class FrameStream:
-    """An opened `camera`, watched: every frame comes once, and as its `format` says.
+    """Frames of a `camera`, opened here and checked against its `format`.
 
-    `lost` frames were exposed before the newest and did not arrive; `repeated` ones came again. A
-    frame is a repeat where it has the number of the one before, or that one's stamp by a clock.
-    Raises InputError where the camera can't be opened.
+    `lost` counts frames exposed before the newest that did not arrive, `repeated` those delivered
+    again: with the number, or on a real clock the stamp, of the previous one. Raises InputError if
+    the camera cannot be opened.
     """
 
     def __init__(self, camera: CameraDriver) -> None:
@@ -32,11 +32,10 @@ class FrameStream:
         self._heard = time.monotonic()
 
     def read(self, timeout: float) -> tuple[CameraFrame, float] | None:
-        """The next frame and when its exposure began [s, monotonic]; None where none came within
-        `timeout` [s], or a repeat.
+        """Return the next frame and the start of its exposure on the monotonic clock [s].
 
-        InputError where the camera is lost, has fallen silent or gives frames of another size;
-        EndOfFrames at the end of a film.
+        None if no frame arrives within `timeout` [s], or a repeated one. Raises InputError if the
+        camera is lost, silent or gives frames of another size; EndOfFrames at the end of a file.
         """
         frame = self._camera.read(timeout)
         if frame is None:
@@ -54,7 +53,7 @@ class FrameStream:
         return frame, self._clock.moment(frame.exposed, frame.arrived)
 
     def close(self) -> None:
-        """Give back the camera."""
+        """Release the camera."""
         self._camera.close()
 
     @property
@@ -69,7 +68,7 @@ class FrameStream:
                              f'expected {expected} {self.format.encoding}')
 
     def _is_new(self, frame: CameraFrame) -> bool:
-        """Whether it is; those between it and the one before are counted as lost."""
+        """Return whether the frame is new, and count the frames missing before it as lost."""
         before, self._number = self._number, frame.number
         stamp, self._exposed = self._exposed, frame.exposed
         if before is None:

@@ -1,9 +1,11 @@
-"""What any camera must stand: run yours through it in a test of your own package.
+"""Tests that every camera kind must pass; call it in a test of your own package.
 
     from microbot_ros.cameras.testkit import exercise
 
     def test_my_camera_keeps_the_contract():
-        exercise(MyCamera, 'name-of-one-that-is-there')
+        exercise(MyCamera, 'name-of-a-connected-camera')
+
+The camera must be connected.
 """
 
 from __future__ import annotations
@@ -28,17 +30,19 @@ _IMPOSSIBLE: dict[str, Any] = {
     'source': 'no such camera', 'pixel_format': 'no such format', 'trigger': 'no such line',
     'width_px': 99_999, 'height_px': 99_999, 'offset_x_px': 99_999, 'offset_y_px': 99_999,
     'gain': 999_999.0}
+# Choices: frames read per opening, the time they may take, and the excess of a read over its
+# timeout, which a loaded machine needs.
 _FRAMES = 10
 _PATIENCE_S = 20.0
 _SLACK_S = 0.5
 
 
 def exercise(kind: type[CameraDriver], source: str) -> None:
-    """Try a `kind` of camera on one that is there, by its `source`; AssertionError says what is
-    not as `CameraDriver` has it.
+    """Test a camera `kind` on the connected camera `source`; AssertionError names what is wrong.
 
-    It is opened twice; what it gives is as its format says, in time, its numbers rise and its
-    moments are none of the future; what can't be is refused in one line, and leaves it free.
+    It is opened twice. Frames must match the format and arrive in time, their numbers must rise,
+    and no exposure may lie in the future. Impossible settings must be refused in one line and
+    leave the camera free.
     """
     wanted = CameraSettings(source)
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""Kind `v4l2`: a camera of this computer, by the number or path of its device."""
+"""Camera kind `v4l2`: a camera of this computer, by device number or path."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from microbot_ros.cameras.v4l2_device import Captured, PixelLayout, VideoDevice
 from microbot_ros.common.errors import InputError
 
 _LUMA = {'YUYV': (2, 0), 'YVYU': (2, 0), 'UYVY': (2, 1), 'VYUY': (2, 1)}
-"""Packed colour: the brightness is every second byte, from that one on."""
+"""Packed colour formats → step and first index of the brightness bytes."""
 _PLANAR = ('NV12', 'NV21', 'YU12', 'YV12')
-"""The brightness comes first, alone."""
+"""Planar colour formats: all brightness bytes come first."""
 _COMPRESSED = ('MJPG', 'JPEG')
 _ENCODINGS = {
     'GREY': 'mono8', 'Y10': 'mono16', 'Y12': 'mono16', 'Y14': 'mono16', 'Y16': 'mono16',
@@ -24,11 +24,11 @@ _ENCODINGS = {
     'BGR3': 'bgr8', 'RGB3': 'rgb8',
     'RGGB': 'bayer_rggb8', 'BA81': 'bayer_bggr8', 'GBRG': 'bayer_gbrg8', 'GRBG': 'bayer_grbg8',
 }
-_PER_MS = 10  # the unit of the exposure control is 100 µs
+_PER_MS = 10  # V4L2_CID_EXPOSURE_ABSOLUTE counts units of 100 µs
 
 
 class V4l2Camera(CameraDriver):
-    """A camera by device number (0) or path (/dev/video0); of colours, the brightness is read."""
+    """Camera by device number (0) or path (/dev/video0); of colour the brightness is read."""
 
     def open(self) -> CameraFormat:
         source = self.wanted.source
@@ -72,7 +72,7 @@ class V4l2Camera(CameraDriver):
         return VideoDevice(path)
 
     def _laid_out(self) -> PixelLayout:
-        """Size and pixel format as wanted, or the device's own where it is one that we read."""
+        """Negotiate size and pixel format as requested, or the device's own if it can be read."""
         device, wanted = self._device, self.wanted
         assert device is not None
         now, here = device.layout(), device.pixel_formats()
@@ -139,7 +139,7 @@ class V4l2Camera(CameraDriver):
         return limits
 
     def _format(self) -> CameraFormat:
-        """What it gives; the clock is told with frames only, so the first is looked at."""
+        """Return the format; the clock is known only with a frame, so the first is captured."""
         device = self._device
         assert device is not None
         automatic = device.get(v4l2_device.EXPOSURE_AUTO)
@@ -159,13 +159,13 @@ class V4l2Camera(CameraDriver):
             offset=(self.wanted.offset_x_px, self.wanted.offset_y_px))
 
     def _exposed(self, captured: Captured) -> float:
-        """When the exposure began: drivers stamp that, or the end of the frame."""
+        """Return the start of the exposure: drivers stamp the start or the end of a frame."""
         if captured.time <= 0:
             return math.nan
         return captured.time - (0.0 if captured.start else self._exposure)
 
     def _image(self, data: memoryview) -> np.ndarray | None:
-        """The picture in `data`, a view where that can be; None where some of it is missing."""
+        """Return the picture in `data`, a view if possible; None if it is incomplete."""
         layout, name = self._layout, self._layout.pixel_format
         if name in _COMPRESSED:
             return _decompressed(data)

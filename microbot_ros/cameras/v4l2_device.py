@@ -1,7 +1,7 @@
-"""Video4Linux2 as the kernel has it: requests and structures of <linux/videodev2.h>, 64 bit.
+"""Video4Linux2 interface of the kernel: requests and structures of <linux/videodev2.h>, 64 bit.
 
-OpenCV reads such cameras too, but gives neither the number of a frame nor the clock of its stamp;
-the libraries that do are under licences that this package can't take in.
+OpenCV reads such cameras too, but gives neither frame numbers nor the clock of the time stamps.
+The libraries that do have licences incompatible with this package.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ _INT = struct.Struct('<i')
 
 
 def _request(direction: int, number: int, layout: struct.Struct) -> int:
-    """A request's code: _IOC of <asm-generic/ioctl.h> with type 'V'."""
+    """Return the code of a request: _IOC of <asm-generic/ioctl.h> with type 'V'."""
     return direction << 30 | layout.size << 16 | ord('V') << 8 | number
 
 
+# Values from <linux/videodev2.h> and <linux/v4l2-controls.h>.
 _READ, _WRITE, _BOTH = 2, 1, 3
 QUERYCAP = _request(_READ, 0, _CAPABILITY)
 ENUM_FMT = _request(_BOTH, 2, _DESCRIPTION)
@@ -56,15 +57,18 @@ _TIME_PER_FRAME, _DISABLED = 0x1000, 0x1
 _BROKEN = 0x40
 _CLOCK, _MONOTONIC = 0xE000, 0x2000
 _SOURCE, _START_OF_EXPOSURE = 0x70000, 0x10000
-_BUFFERS = 8
+_BUFFERS = 8  # choice: 80 ms of frames at 100 frames/s
 
 Ioctl = Callable[[int, int, bytearray], int]
 
 
 @dataclass(frozen=True)
 class PixelLayout:
-    """What is negotiated: `width` and `height` [px], `pixel_format` (a four-character code) and
-    the length of a row, `stride` [bytes], and of a picture, `size` [bytes]."""
+    """Negotiated layout of a picture.
+
+    `width` and `height` [px], `pixel_format` (four-character code), `stride`: length of a row
+    [bytes], `size` of a picture [bytes].
+    """
 
     width: int
     height: int
@@ -75,9 +79,12 @@ class PixelLayout:
 
 @dataclass(frozen=True)
 class Captured:
-    """A filled buffer: its `data` until it is given back, the driver's `sequence` number, the
-    `time` [s] of its stamp, whether that is of the `monotonic` clock and of the exposure's
-    `start`; `broken` where data are missing."""
+    """Filled buffer of a device.
+
+    `data` is valid until the next capture; `sequence` is the driver's frame number and `time` [s]
+    its stamp, on the monotonic clock if `monotonic`, of the start of the exposure if `start`;
+    `broken` if data are missing.
+    """
 
     data: memoryview
     sequence: int
@@ -88,9 +95,9 @@ class Captured:
 
 
 class VideoDevice:
-    """One opened device by its `path`, streaming through buffers shared with the kernel.
+    """Open device at `path` that streams through buffers shared with the kernel.
 
-    OSError where the system refuses. `ioctl` is the system's.
+    Raises OSError if the system refuses. `ioctl` is the system call, replaced in tests.
     """
 
     def __init__(self, path: str, ioctl: Ioctl = fcntl.ioctl) -> None:
@@ -108,12 +115,12 @@ class VideoDevice:
             raise
 
     def close(self) -> None:
-        """Stop and give everything back; no complaint of a device that is gone."""
+        """Stop streaming and release everything, without errors for a disconnected device."""
         with suppress(OSError):
             self._ask(STREAMOFF, _INT, _CAPTURE)
         self._held = None
         for each in self._maps:
-            # A picture that somebody still holds keeps its memory until it goes.
+            # A picture still in use keeps its memory mapped until it is released.
             with suppress(BufferError):
                 each.close()
         self._maps.clear()
@@ -123,7 +130,7 @@ class VideoDevice:
             os.close(self._file)
 
     def pixel_formats(self) -> list[str]:
-        """Four-character codes of all it has, in its own order."""
+        """Return the four-character codes of its pixel formats, in the device's order."""
         found: list[str] = []
         with suppress(OSError):
             while True:
@@ -132,22 +139,24 @@ class VideoDevice:
         return found
 
     def layout(self) -> PixelLayout:
-        """What it gives now."""
+        """Return the present layout."""
         return _layout(self._ask(G_FMT, _FORMAT, _CAPTURE, *[0] * 6))
 
     def lay_out(self, width: int, height: int, pixel_format: str) -> PixelLayout:
-        """Ask for `width`, `height` and `pixel_format`; what it makes of that, perhaps others."""
+        """Request `width`, `height` [px] and `pixel_format`; return the layout chosen."""
         return _layout(self._ask(S_FMT, _FORMAT, _CAPTURE, width, height, _code(pixel_format), 0,
                                  0, 0))
 
     def crop(self, left: int, top: int, width: int, height: int) -> tuple[int, int, int, int]:
-        """Ask for the region of `width` × `height` with its corner at `left`, `top`; what it
-        makes of that."""
+        """Request the region of `width` × `height` with its corner at `left`, `top` [px].
+
+        Returns the region that the device chose, in the same order.
+        """
         told = self._ask(S_SELECTION, _SELECTION, _CAPTURE, _CROP, 0, left, top, width, height)
         return told[3], told[4], told[5], told[6]
 
     def frame_rate(self) -> float | None:
-        """Frames per second; None where it does not say."""
+        """Return the frame rate [Hz]; None if the device does not report it."""
         try:
             _, can, _, part, whole = self._ask(G_PARM, _PARAMETERS, _CAPTURE, 0, 0, 0, 0)
         except OSError:
@@ -155,7 +164,7 @@ class VideoDevice:
         return whole / part if can & _TIME_PER_FRAME and part and whole else None
 
     def ask_frame_rate(self, rate: float) -> float | None:
-        """Ask for a `rate` [Hz]; what it makes of that, None where it has none to set."""
+        """Request a `rate` [Hz]; return the one the device chose, or None if it cannot be set."""
         try:
             self._ask(S_PARM, _PARAMETERS, _CAPTURE, 0, 0, 1000, round(rate * 1000))
         except OSError:
@@ -163,7 +172,7 @@ class VideoDevice:
         return self.frame_rate()
 
     def limits(self, control: int) -> tuple[int, int] | None:
-        """Lowest and highest value of a `control`; None where it has none of that kind."""
+        """Return the lowest and highest value of a `control`; None if the device has none."""
         try:
             told = self._ask(QUERYCTRL, _LIMITS, control, 0, b'', 0, 0, 0, 0, 0)
         except OSError:
@@ -171,18 +180,18 @@ class VideoDevice:
         return None if told[7] & _DISABLED else (told[3], told[4])
 
     def set(self, control: int, value: int) -> None:
-        """Give a `control` a `value`."""
+        """Set a `control` to `value`."""
         self._ask(S_CTRL, _CONTROL, control, value)
 
     def get(self, control: int) -> int | None:
-        """The value of a `control`; None where it has none."""
+        """Return the value of a `control`; None if the device has none."""
         try:
             return int(self._ask(G_CTRL, _CONTROL, control, 0)[1])
         except OSError:
             return None
 
     def start(self) -> None:
-        """Share buffers and let frames come."""
+        """Share buffers with the kernel and start streaming."""
         count = self._ask(REQBUFS, _REQUEST, _BUFFERS, _CAPTURE, _MMAP)[0]
         for index in range(count):
             told = self._buffer(QUERYBUF, index)
@@ -191,8 +200,10 @@ class VideoDevice:
         self._ask(STREAMON, _INT, _CAPTURE)
 
     def capture(self, timeout: float) -> Captured | None:
-        """The oldest filled buffer, which is given back with the next call; None where none was
-        filled within `timeout` [s]."""
+        """Return the oldest filled buffer, or None if none is filled within `timeout` [s].
+
+        The buffer goes back to the device with the next call.
+        """
         if self._held is not None:
             index, self._held = self._held, None
             self._buffer(QBUF, index)

@@ -12,13 +12,14 @@ MOST = 64
 """HTTP connections at once. A browser opens six for a page; 16 pages that load at once need 96 for
 some 100 ms, and those over the limit are opened again by the browser."""
 LONGEST_S = 30.0
-"""Longest life of an HTTP connection: a page loads in less than 1 s."""
+"""Longest life of an HTTP connection that is not in the middle of an answer: a page loads in less
+than 1 s, a recording in minutes."""
 
 _order = itertools.count()
 
 
 class BriefConnection(H11Protocol):
-    """HTTP connection that is closed after `LONGEST_S`, whatever its client sends or reads.
+    """HTTP connection that is closed after `LONGEST_S`, whatever its client sends.
 
     Where there are more than `MOST`, the oldest is closed in favour of the newest: clients that
     hold connections without asking for anything cannot keep a page, and its STOP, out. A
@@ -29,7 +30,7 @@ class BriefConnection(H11Protocol):
         """Take in a new connection by its `transport`."""
         super().connection_made(transport)
         self.number = next(_order)
-        self._end = self.loop.call_later(LONGEST_S, self._abort)
+        self._end = self.loop.call_later(LONGEST_S, self._expire)
         brief = [one for one in self.connections
                  if isinstance(one, BriefConnection) and not one.transport.is_closing()]
         if len(brief) > MOST:
@@ -45,6 +46,12 @@ class BriefConnection(H11Protocol):
         """
         self._end.cancel()
         super().handle_websocket_upgrade(event)
+
+    def _expire(self) -> None:
+        if self.cycle and self.cycle.response_started and not self.cycle.response_complete:
+            self._end = self.loop.call_later(LONGEST_S, self._expire)
+        else:
+            self._abort()
 
     def _abort(self) -> None:
         self.transport.abort()

@@ -18,7 +18,7 @@ from typing import Any
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -30,6 +30,7 @@ from microbot_ros.cockpit.connections import BriefConnection
 from microbot_ros.cockpit.control import Control
 from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.events import Events, explained
+from microbot_ros.cockpit.recordings import Recordings
 from microbot_ros.cockpit.rig import Answer, RefusedError, Rig, zero_in
 from microbot_ros.cockpit.security import REPORT_POLICY, Gatekeeper
 from microbot_ros.cockpit.stopping import Stopping
@@ -63,15 +64,15 @@ _log = logging.getLogger(__name__)
 
 class Server:
     """Serves the page of a `rig` at `host` and `port`, 0 for any that is free, with its
-    `discovery`; without a token if `open_to_all`, see `Gatekeeper`.
+    `discovery` and its `recordings`; without a token if `open_to_all`, see `Gatekeeper`.
 
     All but `start` and `stop` happens in a thread of its own. Raises InputError where it can't
     listen there.
     """
 
-    def __init__(self, rig: Rig, discovery: Discovery, host: str, port: int, *,
-                 open_to_all: bool = False) -> None:
-        self._rig, self._discovery = rig, discovery
+    def __init__(self, rig: Rig, discovery: Discovery, recordings: Recordings, host: str,
+                 port: int, *, open_to_all: bool = False) -> None:
+        self._rig, self._discovery, self._recordings = rig, discovery, recordings
         self._socket = _listen(host, port)
         self._host, self._port = host, int(self._socket.getsockname()[1])
         self._control = Control()
@@ -142,6 +143,9 @@ class Server:
             return FileResponse(index)
         return Starlette(lifespan=self._lifespan, routes=[
             Route('/', home), Route('/discoveries/{name}/report.html', self._report),
+            Route('/recordings', self._list_recordings),
+            Route('/recordings/{name}/film.mp4', self._film),
+            Route('/recordings/{name}/{file}', self._file),
             Mount('/page', StaticFiles(directory=str(page))),
             WebSocketRoute('/socket', self._serve)])
 
@@ -149,6 +153,19 @@ class Server:
         path = self._discovery.report(request.path_params['name'])
         return Response(status_code=404) if path is None else FileResponse(
             path, headers={'Content-Security-Policy': REPORT_POLICY})
+
+    async def _list_recordings(self, _: Request) -> Response:
+        return JSONResponse(await asyncio.to_thread(self._recordings.listed))
+
+    async def _film(self, request: Request) -> Response:
+        film = await self._recordings.film(request.path_params['name'])
+        return Response(status_code=404) if film is None else StreamingResponse(
+            film, media_type='video/mp4')
+
+    async def _file(self, request: Request) -> Response:
+        path = self._recordings.file(**request.path_params)
+        return Response(status_code=404) if path is None else FileResponse(
+            path, filename=path.name)
 
     @asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
@@ -164,6 +181,7 @@ class Server:
         if self._control.attended:  # no heartbeat comes any more: sooner than the driver sees it
             with suppress(RefusedError, TimeoutError):
                 await asyncio.wait_for(self._rig.stop(), _LAST_STOP_S)
+        self._recordings.end()
         await self._discovery.end()
 
     def _on_picture(self, stamp: int, jpeg: bytes) -> None:

@@ -1,1 +1,1 @@
-"""What every room may use: units, records, settings, errors, files, plug-ins, compiled code."""
+"""Shared basis of all rooms: units, records, settings, errors, files, plug-ins, compiled code."""

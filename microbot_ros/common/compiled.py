@@ -1,17 +1,17 @@
-"""`numba`, with a cache on disk that bears many processes that compile at once.
+"""`numba` with a disk cache that is safe when many processes compile at once.
 
-The nodes of a rig start together, and before the first time nothing is compiled. Numba 0.68 keeps
-for each function an index of signatures and a numbered file of machine code for each of them, and
-between reading the index and writing both another process may do the same for another signature:
-then the index leads to code for other types. Called with it a complex array is read as a real one
-and a time as a whole number, silently; and as the signature asked for is never found, every call
-loads the file again, until memory is out (numba/numba#10128 is of the same kind). So here one
-process at a time looks into a cache, and what older sources left there goes first.
+The nodes of a rig start together, and on first use nothing is compiled. Numba 0.68 keeps for each
+function an index of signatures and a numbered file of machine code per signature. Between reading
+the index and writing both, another process may do the same for another signature; the index then
+points to code for other types. Called through it, a complex array is read as a real one and a time
+as an integer, silently; and as the wanted signature is never found, every call loads the file
+again until memory runs out (numba/numba#10128 is similar). Here one process at a time accesses a
+cache, and files of older sources are removed first.
 
-Where `NUMBA_CACHE_DIR` is set, the code of this package is kept there by the content of its
-sources: a file, and all files of the package that it imports. Numba itself goes by the path and
-the time of one file: it compiles anew in every clone, and misses a change in a file whose
-functions or constants were compiled in.
+If `NUMBA_CACHE_DIR` is set, the code of this package is cached there by the content of its
+sources: a file and all package files that it imports. Numba itself uses the path and the time of
+one file: it recompiles in every clone, and misses changes of imported functions or constants that
+were compiled in.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = ['numba']
 
 
 class _OneAtATime(caching.IndexDataCacheFile):
-    """The files of one function, locked as long as they are read or written."""
+    """Cache files of one function, locked while they are read or written."""
 
     def save(self, key: Any, data: Any) -> None:
         with self._locked(fcntl.LOCK_EX):
@@ -48,7 +48,7 @@ class _OneAtATime(caching.IndexDataCacheFile):
         try:
             with self._locked(fcntl.LOCK_SH):
                 return super().load(key)
-        except OSError:  # no such folder, or one that only others may write to
+        except OSError:  # the folder is missing or read-only
             return super().load(key)
 
     @contextmanager
@@ -65,7 +65,7 @@ _IMPORTED = re.compile(
 
 @cache
 def _imported(file: Path) -> frozenset[Path]:
-    """Files of this package that a `file` imports by itself."""
+    """Return the package files that a `file` imports directly."""
     found = set()
     for module, names in _IMPORTED.findall(file.read_bytes()):
         place = _PACKAGE.joinpath(*module.decode().split('.')[1:])
@@ -77,7 +77,7 @@ def _imported(file: Path) -> frozenset[Path]:
 
 @cache
 def digest(file: Path) -> str:
-    """Digest of a `file` of this package and of all that it imports of the package."""
+    """Return the digest of a package `file` and of all package files that it imports."""
     found, new = {file}, {file}
     while new:
         new = {path for one in new for path in _imported(one)} - found
@@ -94,7 +94,7 @@ _Provided: Any = next(kind for name, kind in vars(caching).items()
 
 
 class _ByContent(_Provided):
-    """Place in `NUMBA_CACHE_DIR` for the code of a file of this package, by its `digest`."""
+    """Location in `NUMBA_CACHE_DIR` for the code of a package file, by its `digest`."""
 
     def __init__(self, py_func: Any, py_file: str) -> None:
         super().__init__(py_func, py_file)
@@ -112,7 +112,7 @@ class _ByContent(_Provided):
 
 
 class _Announced(event.Listener):
-    """Tells before code is compiled; code that was kept is none."""
+    """Listener that reports before code is compiled; loading cached code does not count."""
 
     def on_start(self, event: Any) -> None:
         about_to_compile()

@@ -1,4 +1,4 @@
-"""How our processes end: by a signal, or because the process that launched them is gone."""
+"""End of our processes: by a signal, or because the launching process is gone."""
 
 from __future__ import annotations
 
@@ -18,25 +18,30 @@ PARENT = 'MICROBOT_PARENT'
 
 
 _HEAD_START_S = 0.1
-"""How long who is interrupted waits for what is to be done at once: its clean-up may hold the
-interpreter for as long as the middleware takes to leave."""
+"""Choice: time that an interrupted thread waits for `at_once`.
+
+Its clean-up may hold the interpreter for as long as the middleware takes to shut down.
+"""
 
 
 class Stopped(BaseException):
-    """The signal of that `number` asked for the end; no Exception, so that nothing swallows it."""
+    """A signal of this `number` asked the process to end.
+
+    No subclass of Exception, so that no handler swallows it.
+    """
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
         self.status = 128 + number
-        """The exit status that shells give to a process ended by that signal."""
+        """Exit status that shells give to a process ended by this signal."""
 
 
 def find_launcher() -> int | None:
-    """The process that this one must not outlive, if there is one.
+    """Return the id of the process that this one must not outlive, or None.
 
-    It is named in the environment, by `microbot` and by our launch files. Of `ros2`, which names
-    nobody, the children are known by their parent. Whoever starts a node from a shell, in the
-    background or with `nohup` or `setsid`, may leave, and the node stays.
+    `microbot` and our launch files name it in the environment. `ros2` does not; its children are
+    recognised by their parent. A node started from a shell, in the background or with `nohup` or
+    `setsid`, survives the shell.
     """
     named = os.environ.get(PARENT)
     if named:
@@ -50,12 +55,12 @@ def find_launcher() -> int | None:
 
 
 class Ending:
-    """Notices at once that this process is to end. Use as a context, in the main thread.
+    """Context of the main thread that notices at once when this process is to end.
 
-    SIGINT, SIGTERM, SIGHUP unless it was ignored from the start (`nohup`), and the end of the
-    process `launcher` set `due` and call `at_once`, in a thread of its own: a signal handler
-    in Python would wait until the main thread comes back from the library that it is in, and
-    could not take a lock that the main thread holds.
+    SIGINT, SIGTERM, SIGHUP (unless ignored from the start, as by `nohup`) and the end of the
+    process `launcher` set `due` and call `at_once` in a separate thread. A Python signal handler
+    would wait until the main thread returns from the library that it is in, and could not take a
+    lock that the main thread holds.
     """
 
     def __init__(self, at_once: Callable[[], None] = lambda: None,
@@ -92,9 +97,9 @@ class Ending:
 
     @contextmanager
     def interrupts(self) -> Iterator[None]:
-        """Let a signal raise Stopped in here; elsewhere, as in clean-up, none interrupts.
+        """Context in which a signal raises Stopped; outside it, as in clean-up, none interrupts.
 
-        A library in C may swallow the exception. `due` and `at_once` do not depend on it.
+        A library in C may swallow the exception; `due` and `at_once` do not depend on it.
         """
         try:
             self._interruptible = True
@@ -112,9 +117,7 @@ class Ending:
             raise Stopped(self._received)
 
     def _watch(self) -> None:
-        """In a thread: wait for the byte that the interpreter writes for a signal, or the end of
-        the launcher.
-        """
+        """Wait, in a thread, for a signal or for the end of the launcher."""
         set_realtime_priority()
         awaited = [self._reader]
         try:
@@ -122,7 +125,7 @@ class Ending:
                 awaited.append(os.pidfd_open(self._launcher))
             select.select(awaited, [], [])
         except ProcessLookupError:
-            pass  # it was gone before we could look
+            pass  # the launcher had already ended
         if not self._over:
             self.due = True
             self._at_once()

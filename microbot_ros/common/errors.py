@@ -1,4 +1,4 @@
-"""The errors that a person is meant to read."""
+"""Errors with messages for the user."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import reprlib
 from collections.abc import Iterable
 from pathlib import Path
 
-_SHOWN = 80
+_SHOWN = 80  # choice: characters of a value in a message, one terminal line
 _LISTED = 400
-"""Characters of names in one line; where there are more, only the nearest are told."""
+"""Choice: characters of names listed in a message; of more, only the nearest are listed."""
 _short = reprlib.Repr()
 _short.maxlevel = 2
 _short.maxstring = _short.maxother = _SHOWN
 
 
 class InputError(ValueError):
-    """Something a person supplied is wrong: a file, an option, a device name.
+    """Error in something the user supplied: a file, an option, a device name.
 
-    The message is one line: where, what was found, what was expected. Commands print it on
+    The message is one line: place, what was expected, what was found. Commands print it on
     standard error and exit with 2.
     """
 
@@ -35,10 +35,10 @@ class PackageError(InputError):
 
 
 class RigError(RuntimeError):
-    """A running rig did not do what it was asked: a node is missing, is silent or refuses.
+    """A running rig did not do what was requested: a node is missing, silent or refuses.
 
-    The message is one line that names the node. Commands print it on standard error and exit
-    with 1.
+    The message is one line that names the node. Commands print it on standard error and exit with
+    1.
     """
 
 
@@ -51,24 +51,22 @@ class ReportError(RuntimeError):
 
 
 def one_line(text: str) -> str:
-    """The `text` as a terminal shows it in one line: what is no printable character is escaped."""
+    """Return `text` with everything unprintable escaped, as one line for a terminal."""
     return ''.join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def shown(value: object) -> str:
-    """What was received, as Python writes a `value`, in at most 80 characters."""
+    """Return the representation of a received `value` in at most 80 characters."""
     return clipped(_short.repr(value))
 
 
 def clipped(text: str) -> str:
-    """The `text`, or where it is long its first 80 characters, the last of them an ellipsis."""
+    """Return `text`, cut to 80 characters with an ellipsis if it is longer."""
     return text if len(text) <= _SHOWN else f'{text[:_SHOWN - 1]}…'
 
 
 def known(names: Iterable[str], received: str) -> str:
-    """Which `names` there are, or where they fill lines the five that are nearest to what was
-    `received`.
-    """
+    """List the `names`, or if they are too many the five nearest to the one `received`."""
     listed = sorted(names)
     if len(', '.join(listed)) <= _LISTED:
         return f'known are: {", ".join(listed)}'

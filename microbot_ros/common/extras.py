@@ -1,4 +1,4 @@
-"""Libraries that only some features need, and the extra of the package that installs each."""
+"""Optional libraries and the extra of the package that installs each."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ EXTRAS = {
     'gymnasium': 'gym', 'onnx': 'onnx', 'onnxruntime': 'onnx',
     'dask': 'dask', 'distributed': 'dask', 'pyarrow': 'dask',
 }
-"""Library, by the name under which it is imported → the extra that installs it."""
+"""Import name of a library → extra that installs it."""
 
 
 def advice(error: ImportError) -> str | None:
-    """Return which extra to install after an import `error`; None if no extra brings the library.
-    """
+    """Return what to install after an import `error`; None if no extra brings the library."""
     library = (error.name or '').partition('.')[0]
     if library not in EXTRAS:
         return None
@@ -30,7 +29,7 @@ def advice(error: ImportError) -> str | None:
 
 
 def lack(*extras: str) -> str:
-    """Return which libraries of these `extras` are not installed and what to do; '' if none."""
+    """Return which libraries of `extras` are missing and how to install them; '' if none."""
     missing = [library for library, extra in EXTRAS.items()
                if extra in extras and find_spec(library) is None]
     needed = ','.join(dict.fromkeys(EXTRAS[library] for library in missing))
@@ -40,9 +39,9 @@ def lack(*extras: str) -> str:
 
 
 def require(*extras: str) -> None:
-    """Raise InputError, saying what to install, if a library of these `extras` is not installed.
+    """Raise InputError with installation advice if a library of these `extras` is missing.
 
-    For commands that would otherwise miss a library only after minutes of work.
+    For commands that would otherwise fail only after minutes of work.
     """
     if problem := lack(*extras):
         raise InputError('', problem)

@@ -1,4 +1,4 @@
-"""What a sentence of a fault means: its cause and its cure, from the one catalogue."""
+"""Cause and cure of a fault message, from the one catalogue."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pathlib import Path
 import yaml
 
 CATALOGUE = Path(__file__).with_name('faults.yaml')
-"""Part of the rig → sentence, … for what is filled in → [cause, cure]."""
+"""Part of the rig → sentence, with … for inserted values → [cause, cure]."""
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 _BOUNDARY = re.compile(r'; |: |, ')
 _PARAMETERS = re.compile(r' \(\w+_\w+(?:, \w+_\w+)*\)(?=$|:)')
-"""The parameters of a limit, which the coil driver writes after the name of a fault."""
+"""Parameters of a limit, which the coil driver writes after the name of a fault."""
 
 
 @dataclass(frozen=True)
 class Remedy:
-    """The `cause` of a fault and its `cure`, a sentence or two each."""
+    """`cause` of a fault and its `cure`, one or two sentences each."""
 
     cause: str
     cure: str
@@ -36,9 +36,9 @@ def catalogue() -> dict[str, dict[str, tuple[str, str]]]:
 
 @lru_cache(256)
 def remedy(sentence: str) -> Remedy | None:
-    """Return the remedy for what a node says, whole or in the parts between its separators.
+    """Return the remedy for a node's `sentence`, matched whole or in parts between separators.
 
-    Of several the one whose own words are the most; None for a sentence that is not known.
+    If several match, the longest is returned; None if the sentence is unknown.
     """
     parts = {part.rstrip('.') for text in {sentence, _PARAMETERS.sub('', sentence)}
              for part in _parts(text)}
@@ -57,8 +57,7 @@ def _parts(text: str) -> Iterator[str]:
 
 @cache
 def _patterns() -> list[tuple[int, re.Pattern[str], Remedy]]:
-    """Length of the words of a sentence, what it matches and its remedy; without those that only
-    refer to another."""
+    """Return length, pattern and remedy of each sentence that does not refer to another."""
     return [(len(sentence.replace('…', '').strip()),
              re.compile(re.escape(sentence.rstrip('.')).replace('…', '.+?')), Remedy(*remedies))
             for known in catalogue().values() for sentence, remedies in known.items()

@@ -1,4 +1,4 @@
-"""Reading what people write, writing what people keep: checked YAML, all-or-nothing output."""
+"""Validated YAML input and all-or-nothing file output."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from microbot_ros.common.plausible import check_plausible
 
 
 class Settings(pydantic.BaseModel):
-    """Base of everything read from YAML: unknown keys, NaN, infinity and numbers that no rig has
-    are errors.
+    """Base of everything read from YAML.
+
+    Unknown keys, NaN, infinity and numbers that no rig has are errors.
     """
 
     model_config = pydantic.ConfigDict(extra='forbid', frozen=True, allow_inf_nan=False)
@@ -37,10 +38,10 @@ SettingsT = TypeVar('SettingsT', bound=pydantic.BaseModel)
 
 
 def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
-    """A YAML file as validated settings.
+    """Read the YAML file `path` as validated `settings`.
 
-    Raises InputError naming file, line, key and what was expected, for a file that is missing,
-    is not YAML, or does not fit.
+    Raises InputError naming file, line, key and what was expected if the file is missing, is not
+    YAML or does not fit.
     """
     path = Path(path)
     tree, content = load_yaml(path)
@@ -59,9 +60,9 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
 
 def load_yaml(path: str | Path, loader: type[strict_yaml.StrictLoader] = strict_yaml.StrictLoader,
               ) -> tuple[yaml.Node | None, Any]:
-    """The tree of a YAML file and its content, as a `loader` makes it, not validated.
+    """Return the tree of the YAML file `path` and its content as `loader` builds it, unchecked.
 
-    InputError with file and line for a file that is missing or no plain YAML.
+    Raises InputError with file and line if the file is missing or not plain YAML.
     """
     path = Path(path)
     try:
@@ -77,7 +78,7 @@ def load_yaml(path: str | Path, loader: type[strict_yaml.StrictLoader] = strict_
 
 
 def line_of(path: str | Path, *keys: int | str) -> int | None:
-    """The line of a YAML file on which a key path stands, as far as the file has it."""
+    """Return the line of the YAML file `path` at the path of `keys`, as far as it exists."""
     return _line_of(load_yaml(path)[0], keys)
 
 
@@ -94,7 +95,7 @@ def _explain(error: Any, settings: type[pydantic.BaseModel]) -> str:
 
 
 def _line_of(tree: yaml.Node | None, location: tuple[int | str, ...]) -> int | None:
-    """The line of the deepest part of a key path that the file really has."""
+    """Return the line of the deepest existing part of a key path."""
     line = None if tree is None else tree.start_mark.line + 1
     for part in location:
         if isinstance(tree, yaml.MappingNode):
@@ -111,7 +112,7 @@ def _line_of(tree: yaml.Node | None, location: tuple[int | str, ...]) -> int | N
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a `text` file in one step: readers see the old content or the new, never a half."""
+    """Write `text` to `path` atomically: readers see the old content or the new one."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
@@ -129,10 +130,10 @@ def write_text(path: str | Path, text: str) -> None:
 
 @contextmanager
 def writing_report(path: Path) -> Iterator[None]:
-    """Context in which the report `path` is written, after the results that it is about.
+    """Context for writing the report `path` after its results.
 
     Any exception becomes a ReportError that names its place in the code, and an earlier report of
-    that name is removed: it would stand beside results of which it is not.
+    that name is removed, since it does not belong to the new results.
     """
     try:
         yield
@@ -146,7 +147,7 @@ def writing_report(path: Path) -> Iterator[None]:
 
 
 def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None:
-    """InputError where one of the files of these `names` is in a `folder`, unless by `force`."""
+    """Raise InputError if `folder` has files of these `names`, unless `force`."""
     there = [name for name in names if (folder / name).exists()]
     if there and not force:
         raise InputError(folder, f'expected a folder without {", ".join(there)}; --force replaces '
@@ -155,11 +156,10 @@ def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None
 
 @contextmanager
 def output_folder(path: str | Path) -> Iterator[Path]:
-    """A folder to fill that takes its name only when everything in it is written.
+    """Context with a folder to fill that gets its name only when everything is written.
 
-    What is written goes to a hidden sibling; on success its files move into `path` one by one,
-    replacing earlier ones of the same name and leaving others alone; on any exception nothing
-    of it is left.
+    Files are written to a hidden sibling. On success they move into `path` one by one, replacing
+    files of the same name and keeping others; on any exception nothing remains of them.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():

@@ -1,4 +1,4 @@
-"""Saying so when code is compiled: the first time that takes minutes, in silence."""
+"""Notice when code is compiled, because the first compilation takes silent minutes."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ _who_tells: list[tuple[int, Callable[[str], None]]] = []
 
 
 def tell_of_compiling(tell: Callable[[str], None]) -> None:
-    """Call `tell` with a sentence once this process compiles code that is not kept yet."""
+    """Call `tell` with a sentence once this process compiles code that is not cached."""
     _who_tells[:] = [(os.getpid(), tell)]
 
 
 def about_to_compile() -> None:
-    """What `compiled` calls before anything is compiled."""
+    """Report the compilation; called by `compiled` before anything is compiled."""
     while _who_tells:
         process, tell = _who_tells.pop()
-        if process == os.getpid():  # workers that were forked leave it to the one who asked
+        if process == os.getpid():  # forked workers leave the report to their parent
             tell(COMPILES)

@@ -1,4 +1,4 @@
-"""What other packages bring under an entry point."""
+"""Objects that other packages provide by entry points."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from microbot_ros.common.extras import advice
 
 
 def installed(group: str, what: str, name: str) -> Any:
-    """What is registered as `name` in the entry-point `group`; people call it `what`.
+    """Load the object `name` of the entry-point `group`; `what` names its kind in messages.
 
-    Raises InputError for a name that is not registered or whose object does not load: there is no
-    falling back to another.
+    Raises InputError if the name is not registered or its object cannot be loaded; nothing else is
+    tried.
     """
     found = {entry.name: entry for entry in entry_points(group=group)}
     if name not in found:

@@ -1,4 +1,4 @@
-"""Threads that come before all others of the machine, where the system grants that."""
+"""Real-time priority of threads, if the system grants it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 SAFETY, LOOP = 10, 5
-"""Priorities: of what zeroes the coils, and of the rest of the closed loop."""
+"""Choice: SCHED_FIFO priorities of what zeroes the coils, and of the rest of the loop."""
 
 
 def set_realtime_priority(thread: int = 0, priority: int = SAFETY) -> bool:
-    """Let this thread, and those it starts from now on, run in real time; False where not granted.
+    """Run a `thread` and those it starts later in real time; return False if not granted.
 
-    With the id of another `thread`, that one; the id of a process is that of its main thread.
-    `priority` is of SCHED_FIFO, 1 to 99.
+    0 is the calling thread; a process id is that of its main thread. `priority` is that of
+    SCHED_FIFO, 1 to 99.
     """
     try:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
@@ -27,9 +27,10 @@ def set_realtime_priority(thread: int = 0, priority: int = SAFETY) -> bool:
 
 
 def set_realtime_priority_of_all(priority: int) -> None:
-    """`set_realtime_priority` with a `priority` for all threads of this process that have less.
+    """Raise all threads of this process to at least `priority` (SCHED_FIFO).
 
-    Those of the middleware too: one is not enough, it waits for who holds the interpreter's lock.
+    The middleware's too: a fast thread would otherwise wait for a slow one that holds the
+    interpreter.
     """
     with suppress(OSError):
         for task in Path('/proc/self/task').iterdir():
@@ -38,9 +39,9 @@ def set_realtime_priority_of_all(priority: int) -> None:
 
 
 def lateness(seconds: float, tick_s: float) -> list[float]:
-    """How late [s] this thread wakes from waits of `tick_s`, one after the other for `seconds`.
+    """Return how late [s] this thread wakes from waits of `tick_s`, repeated for `seconds`.
 
-    A dead-man that waits like this is that late, beside its own times.
+    A dead-man switch that waits like this adds that delay to its own times.
     """
     waiting, late = threading.Event(), []
     end = time.monotonic() + seconds
@@ -52,7 +53,7 @@ def lateness(seconds: float, tick_s: float) -> list[float]:
 
 @contextmanager
 def realtime_priority(priority: int) -> Iterator[None]:
-    """`set_realtime_priority_of_all` with a `priority` for as long as this lasts."""
+    """Context in which all threads have at least this `priority` (SCHED_FIFO)."""
     set_realtime_priority_of_all(priority)
     try:
         yield

@@ -1,4 +1,4 @@
-"""The data types that all rooms exchange: what was measured and commanded, as arrays in SI."""
+"""Data exchanged between all rooms: measurements and commands as arrays in SI units."""
 
 from __future__ import annotations
 
@@ -10,11 +10,21 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Tracks:
-    """Positions of particles over time, one row per particle and frame; gaps are missing rows.
+    """Positions of particles over time, sorted by time; one row per particle and frame.
 
-    Rows are sorted by time. `t` (M,) [s]; `particle` (M,) integer identities; `position` (M, 2)
-    [m], x right, y up; `theta` (M,) heading [rad], NaN where it is not known; `sigma` (M,)
-    standard deviation of each coordinate [m], NaN where it is not known.
+    Gaps are missing rows.
+
+    Attributes
+    ----------
+    t : (M,) array [s]
+    particle : (M,) int array
+        Identities.
+    position : (M, 2) array [m]
+        x right, y up.
+    theta : (M,) array [rad]
+        Heading, NaN if unknown.
+    sigma : (M,) array [m]
+        Standard deviation of each coordinate, NaN if unknown.
     """
 
     t: np.ndarray
@@ -25,7 +35,7 @@ class Tracks:
 
     @property
     def particles(self) -> np.ndarray:
-        """The identities present, ascending."""
+        """Identities present, ascending."""
         return np.unique(self.particle)
 
     def of(self, particles: int | np.ndarray) -> Tracks:
@@ -37,7 +47,7 @@ class Tracks:
         )
 
     def grid(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frame times (T,) and positions (T, N, 2) in the order of `particles`; NaN for gaps."""
+        """Return frame times (T,) and positions (T, N, 2) by `particles`, NaN in gaps."""
         times, row = np.unique(self.t, return_inverse=True)
         ids, column = np.unique(self.particle, return_inverse=True)
         positions = np.full((len(times), len(ids), 2), np.nan)
@@ -47,13 +57,18 @@ class Tracks:
 
 @dataclass(frozen=True)
 class Commands:
-    """The commanded field over time; each row holds until the next.
+    """Commanded field over time; each row holds until the next, before the first it is zero.
 
-    `t` (K,) [s], ascending; `field` (K, 2) [T] in the plane; for rolling particles `field`
-    points in the rolling direction and `frequency` (K,) [Hz] is the rotation frequency, else
-    `frequency` is None. `tilt` (K,) [rad] is the angle of the axis of rotation from the vertical;
-    None where it lies in the plane throughout. Before the first row nothing is commanded: zero
-    field.
+    Attributes
+    ----------
+    t : (K,) array [s]
+        Ascending.
+    field : (K, 2) array [T]
+        Field in the plane; for rolling particles it points in the rolling direction.
+    frequency : (K,) array [Hz] or None
+        Rotation frequency of a rolling field.
+    tilt : (K,) array [rad] or None
+        Angle of the axis of rotation from the vertical; None if the axis always lies in the plane.
     """
 
     t: np.ndarray
@@ -62,37 +77,30 @@ class Commands:
     tilt: np.ndarray | None = None
 
     def index_at(self, t: np.ndarray | float) -> np.ndarray:
-        """The row in force at each time; −1 before the first."""
+        """Return the row in force at each time `t`; −1 before the first."""
         return np.searchsorted(self.t, t, side='right') - 1
 
     def field_at(self, t: np.ndarray | float) -> np.ndarray:
-        """Commanded field [T] at times of shape (...): (..., 2)."""
+        """Return the field [T] at times `t` of shape (...), shape (..., 2)."""
         return np.vstack([np.zeros(2), self.field])[self.index_at(t) + 1]
 
     def frequency_at(self, t: np.ndarray | float) -> np.ndarray:
-        """Rotation frequency [Hz] at times of shape (...): (...); zero where there is none."""
+        """Return the rotation frequency [Hz] at times `t` (...); 0 without rotation."""
         index = self.index_at(t)
         if self.frequency is None:
             return np.zeros(np.shape(index))
         return np.append(0.0, self.frequency)[index + 1]
 
-    def tilt_at(self, t: np.ndarray | float) -> np.ndarray:
-        """Angle [rad] of the axis of rotation from the vertical at times of shape (...): (...).
-        """
-        index = self.index_at(t)
-        if self.tilt is None:
-            return np.full(np.shape(index), np.pi / 2)
-        return np.append(np.pi / 2, self.tilt)[index + 1]
-
 
 TimeBase = Literal['elapsed', 'last_interval', 'frames']
-"""Divisor of a displacement: the time elapsed, frames times the last interval, or frames."""
+"""Divisor of a displacement: time elapsed, frames × last interval, or number of frames."""
 
 
 @dataclass(frozen=True)
 class SpeedWindow:
-    """How a laboratory's own tables measure speed: the displacement over the last `frames`
-    frames, divided as `base` says.
+    """Definition of speed in a laboratory's tables.
+
+    It is the displacement over the last `frames` frames, divided by the `base`.
     """
 
     frames: int
@@ -101,7 +109,7 @@ class SpeedWindow:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a session knows of its rig, in SI; None where it was not said.
+    """Known conditions of a session, in SI; None if unknown.
 
     `propulsion` 'catalytic' or 'rolling'; `radius` [m] of the particles; `viscosity` [Pa·s] and
     `temperature` [K] of the fluid; `frame_rate` [Hz]; `pixel_size` [m] in the workspace;
@@ -120,9 +128,9 @@ class Conditions:
 
 
 def height_problem(height_um: float | None, radius_um: float | None) -> str:
-    """What is wrong with a height of the centre above the floor, `height_um` [µm], for people.
+    """Return a message if `height_um` is not more than `radius_um` [µm], else ''.
 
-    '' where nothing is, or where it or the `radius_um` [µm] is not known (None, 0).
+    '' also if either is unknown (None or 0).
     """
     if not (height_um and radius_um) or height_um > radius_um:
         return ''
@@ -132,12 +140,23 @@ def height_problem(height_um: float | None, radius_um: float | None) -> str:
 
 @dataclass(frozen=True)
 class Session:
-    """One recording: what was seen, what was commanded, under which conditions; its `name`.
+    """One recording: tracks, commands and conditions.
 
-    `breaks` (K,) [s], ascending, are where what was seen was joined: nothing is known of the way
-    from the last frame before one to the first at or after it. `remarks` are sentences on what is
-    not as it should be: data that were cut off. `assumed` are the assumptions of an import, and
-    `speed_window` is how the imported tables measure speed.
+    Attributes
+    ----------
+    tracks : Tracks
+    commands : Commands
+    conditions : Conditions
+    name : str
+    breaks : (K,) array [s]
+        Ascending times at which recordings were joined: the motion from the last frame before one
+        to the first at or after it is unknown.
+    remarks : tuple of str
+        Sentences about defects, such as data that were cut off.
+    assumed : tuple of str
+        Assumptions of an import.
+    speed_window : SpeedWindow or None
+        Definition of speed in the imported tables.
     """
 
     tracks: Tracks

@@ -1,6 +1,6 @@
-"""Parameters that describe themselves: one frozen dataclass says name, unit, range and meaning.
+"""Self-describing parameters: a frozen dataclass with name, unit, range and meaning of each.
 
-ROS parameters, controllers' parameters and the tables in the docs all come from these.
+ROS parameters, the parameters of controllers and the tables in the docs are made from these.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from microbot_ros.common.errors import clipped, shown
 
 @dataclass(frozen=True)
 class About:
-    """What is known of a setting beside its name and default.
+    """Meaning and limits of a setting.
 
-    `description` for people; `lower` and `upper` bound it, None where nothing does; `choices`,
-    where only these are allowed; `read_only`: fixed at start-up.
+    `description` for people; bounds `lower` and `upper`, None if unbounded; `choices`, empty if
+    any value is allowed; `read_only` settings are fixed at start-up.
     """
 
     description: str
@@ -38,10 +38,10 @@ def setting(
     choices: tuple[str, ...] = (),
     read_only: bool = False,
 ) -> Any:
-    """A dataclass field with a default and what is allowed; the name ends in its unit.
+    """Return a dataclass field with a default and its limits; the name ends in the unit.
 
-    `description`, `lower`, `upper` and `choices` as in `About`. `read_only` settings are fixed at
-    start-up: safety limits, device names.
+    `default`, `description`, `lower`, `upper` and `choices` as in `About`. `read_only` settings
+    are fixed at start-up: safety limits, device names.
     """
     about = About(description, lower, upper, choices, read_only)
     if isinstance(default, list):
@@ -50,13 +50,13 @@ def setting(
 
 
 def about(settings: type, name: str) -> About:
-    """What the dataclass `settings` says of its field `name`."""
+    """Return the description of the field `name` of the dataclass `settings`."""
     found: About = settings.__dataclass_fields__[name].metadata['about']  # type: ignore[attr-defined]
     return found
 
 
 def defaults(settings: type) -> dict[str, Any]:
-    """Field → default of a `settings` class, in the order of the class."""
+    """Return the default of each field of a `settings` class, in its order."""
     return {
         field.name: field.default_factory() if callable(field.default_factory) else field.default
         for field in dataclasses.fields(settings)
@@ -64,10 +64,10 @@ def defaults(settings: type) -> dict[str, Any]:
 
 
 def convert(settings: type, name: str, value: Any) -> Any:
-    """The value in the type of the field `name` of a `settings` class, checked.
+    """Return `value` converted to the type of the field `name` of a `settings` class, checked.
 
-    An integer is taken where a float is meant. Raises ValueError with what was expected: for
-    another type, NaN or infinity, a value outside the range or not among the choices.
+    An integer is accepted for a float. Raises ValueError with what was expected for another type,
+    NaN, infinity, and a value outside the range or the choices.
     """
     default = defaults(settings)[name]
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):

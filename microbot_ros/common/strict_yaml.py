@@ -1,4 +1,4 @@
-"""YAML as people write it, and nothing else: no bombs, no towers, no key twice."""
+"""YAML as people write it: bounded size, depth, aliases and digits; no duplicate keys."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import yaml
 
 from microbot_ros.common.errors import clipped
 
+# Choices, beyond what people write and harmless for memory; nodes with all aliases expanded.
 LARGEST_BYTES = 2**24
 _DEEPEST = 40
 _MOST_NODES = 1_000_000
-"""Of a document with all its aliases written out."""
 _LONGEST_NUMBER = 400
 _WRONG_TAG = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
-"""What PyYAML raises for `!!int x`, or a date in month 13."""
+"""Errors of PyYAML for values such as `!!int x` or a date in month 13."""
 
 
 class YamlError(ValueError):
-    """A text is no plain YAML: the `problem` in one phrase, its `line` where there is one."""
+    """Text that is not plain YAML: the `problem` as a phrase, and its `line` if known."""
 
     def __init__(self, problem: str, line: int | None = None) -> None:
         self.problem, self.line = problem, line
@@ -26,9 +26,9 @@ class YamlError(ValueError):
 
 
 class StrictLoader(yaml.SafeLoader):
-    """PyYAML's safe loader within limits: of depth, of aliases written out, of digits.
+    """Safe loader of PyYAML for a text `stream`, with limits on depth, aliases and digits.
 
-    A key twice in one mapping is an error, as the standard has it. The `stream` is a text.
+    Duplicate keys in a mapping are errors, as in the standard.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -37,7 +37,7 @@ class StrictLoader(yaml.SafeLoader):
         self._written_out: dict[str, int] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """The next node, below a `parent` at an `index`, counted as if it were written out."""
+        """Return the next node below `parent` at `index`, counting expanded aliases."""
         event = self.peek_event()
         before, self._nodes = self._nodes, self._nodes + 1
         if isinstance(event, yaml.AliasEvent):
@@ -57,14 +57,14 @@ class StrictLoader(yaml.SafeLoader):
         return node
 
     def compose_scalar_node(self, anchor: Any) -> yaml.ScalarNode:
-        """A scalar with an `anchor`, unless it is a number of thousands of digits."""
+        """Return a scalar with an `anchor`, unless it is a number of too many digits."""
         node = super().compose_scalar_node(anchor)
         if node.tag.endswith((':int', ':float')) and len(node.value) > _LONGEST_NUMBER:
             _refuse(f'expected a number of at most {_LONGEST_NUMBER} digits', node.start_mark)
         return node
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        """A mapping with an `anchor` whose keys are all different."""
+        """Return a mapping with an `anchor`, whose keys must all be different."""
         node = super().compose_mapping_node(anchor)
         seen: set[tuple[str, str]] = set()
         for key, _ in node.value:
@@ -76,9 +76,9 @@ class StrictLoader(yaml.SafeLoader):
 
 
 def load(text: str, loader: type[StrictLoader] = StrictLoader) -> tuple[yaml.Node | None, Any]:
-    """The tree of the one document in a `text`, and its content as a `loader` makes it.
+    """Return the tree of the one document in `text`, and its content as built by `loader`.
 
-    YamlError for what is no YAML, or more than a person writes.
+    Raises YamlError if it is not YAML or exceeds the limits.
     """
     if len(text) > LARGEST_BYTES:
         raise YamlError(f'at most {LARGEST_BYTES // 2**20} MB')

@@ -1,4 +1,4 @@
-"""Display units. The core computes in SI; files, plots and screens name their unit.
+"""Display units: the core computes in SI; files, plots and screens name their unit.
 
 A name that carries a unit ends in one of the suffixes below: `x_um`, `field_mT`, `tau_s`.
 """
@@ -20,7 +20,7 @@ BOLTZMANN = 1.380649e-23
 
 Number = TypeVar('Number', float, np.ndarray)
 
-# Suffix → (SI units in one such unit, how people write it). Longest suffix wins.
+# Suffix → (value of one such unit in SI, symbol). The longest matching suffix counts.
 _SUFFIXES: dict[str, tuple[float, str]] = {
     '_um': (1e-6, 'µm'),
     '_mm': (1e-3, 'mm'),
@@ -59,38 +59,38 @@ _BY_LENGTH = sorted(_SUFFIXES, key=len, reverse=True)
 
 @cache
 def suffix(name: str) -> str:
-    """The unit suffix of a name, or '' where it has none: `suffix('wx_um_s') == '_um_s'`."""
+    """Return the unit suffix of `name`, or '' if it has none: `suffix('wx_um_s') == '_um_s'`."""
     return next((s for s in _BY_LENGTH if name.endswith(s)), '')
 
 
 def symbol(name: str) -> str:
-    """How people write the unit that a name carries: `symbol('wx_um_s') == 'µm/s'`."""
+    """Return the symbol of the unit that `name` carries: `symbol('wx_um_s') == 'µm/s'`."""
     ending = suffix(name)
     return _SUFFIXES[ending][1] if ending else ''
 
 
 def to_si(name: str, value: Number) -> Number:
-    """A value in the unit that its name carries, in SI: `to_si('x_um', 2.0) == 2e-6`."""
+    """Convert `value` from the unit of its `name` to SI: `to_si('x_um', 2.0) == 2e-6`."""
     ending = suffix(name)
     return value * _SUFFIXES[ending][0] if ending else value
 
 
 def from_si(name: str, value: Number) -> Number:
-    """An SI value in the unit that the name carries: `from_si('x_um', 2e-6) == 2.0`."""
+    """Convert `value` from SI to the unit of its `name`: `from_si('x_um', 2e-6) == 2.0`."""
     ending = suffix(name)
     return value / _SUFFIXES[ending][0] if ending else value
 
 
 def exact_si(name: str, value: Decimal | float | str) -> float:
-    """A number in the unit of its name in SI, rounded once: 3.7 µm is the float 3.7e-6.
+    """Convert `value` from the unit of its `name` to SI, rounded once: 3.7 µm is the float 3.7e-6.
 
-    ArithmeticError where a text `value` is no number.
+    Raises ArithmeticError for a text that is not a number.
     """
     return float(Decimal(str(value)) * _factor(name))
 
 
 def exact_display(name: str, value: float) -> Decimal:
-    """An SI `value` in the unit of its name, without rounding: `exact_si` gives it back."""
+    """Convert `value` from SI to the unit of its `name`, exactly: inverse of `exact_si`."""
     return Decimal(repr(value)) / _factor(name)
 
 

@@ -1,1 +1,1 @@
-"""Controllers, what they have in common, and the manager that runs and switches them."""
+"""Controllers, their shared parts, and the manager that runs and switches them."""

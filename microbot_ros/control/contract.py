@@ -1,8 +1,8 @@
-"""What a controller is: the whole contract between a controller and whatever runs it.
+"""Contract between a controller and the code that runs it.
 
 A controller is a class with a no-argument constructor, found by its entry point in the group
-`microbot_ros.controllers`. Its life: `configure` (any time, also while it runs), then `activate`,
-`compute` once per tick and `deactivate`, again and again; `reset` forgets what was learned.
+`microbot_ros.controllers`. Its life cycle: `configure` (any time, also while it runs), then
+`activate`, `compute` once per tick and `deactivate`, repeatedly; `reset` forgets what was learned.
 All quantities are SI.
 """
 
@@ -22,11 +22,11 @@ from microbot_ros.control.field_record import FieldRecord
 from microbot_ros.model.model import Model
 
 INTERFACE_VERSION = 1
-"""Raised when a controller written for the contract before would no longer work."""
+"""Raised when a controller written for the previous contract would no longer work."""
 
 
 class Result(enum.Enum):
-    """How a tick or a switch ended, for messages and diagnostics."""
+    """Result of a tick or a switch, for messages and diagnostics."""
 
     OK = 'ok'
     BAD_GOAL = 'bad goal'
@@ -39,8 +39,10 @@ class Result(enum.Enum):
 
 
 class Input(enum.Enum):
-    """What a person or a program may give a controller beside the particles; the value is its
-    name for people. `GOALS` are a list without particles, `PARTICLE_GOALS` name whose each is."""
+    """Kind of input besides the particles; the value is its name in messages.
+
+    `GOALS` is a list without particles, `PARTICLE_GOALS` assigns each goal to a particle.
+    """
 
     GOALS = 'goals'
     PARTICLE_GOALS = 'goals of particles'
@@ -53,49 +55,49 @@ ANY_GOALS = frozenset({Input.GOALS, Input.PARTICLE_GOALS})
 
 
 class ControllerError(Exception):
-    """The controller can't act now, and says why: zero field, and it is asked again next tick.
+    """The controller cannot act now and says why: the field is zero until the next call.
 
-    Anything else that leaves a controller is a fault, after which it is not asked again.
+    Any other exception of a controller is a fault, after which it is not called again.
     """
 
     result: ClassVar[Result] = Result.NO_SOLUTION
 
 
 class GoalError(ControllerError):
-    """A goal or path that can't be followed: not finite, outside the workspace, too many."""
+    """A goal or path cannot be followed: not finite, outside the workspace, too many."""
 
     result = Result.BAD_GOAL
 
 
 class ParticleLostError(ControllerError):
-    """The particle to be driven is not among those seen."""
+    """The particle to be driven is not tracked."""
 
     result = Result.PARTICLE_LOST
 
 
 class NotLearnedError(ControllerError):
-    """Speed or angle of a particle are still to be learned."""
+    """Speed or offset angle of a particle have not been learned yet."""
 
     result = Result.NOT_KNOWN_YET
 
 
 class ModelError(ControllerError):
-    """The model has not what this controller works with."""
+    """The model lacks something that this controller needs."""
 
     result = Result.MODEL_LACKS
 
 
 class NoSolutionError(ControllerError):
-    """No command does what was asked."""
+    """No command fulfils the request."""
 
     result = Result.NO_SOLUTION
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a command must keep: `field` [T], its `slew` [T/s], `frequency` [Hz].
+    """Limits of a command: `field` [T], its `slew` [T/s], `frequency` [Hz].
 
-    ValueError for one that is not finite or below 0: it would limit nothing.
+    Raises ValueError for a limit that is not finite or negative, since it would limit nothing.
     """
 
     field: float = 5e-3
@@ -110,28 +112,28 @@ class Limits:
 
 @dataclass(frozen=True)
 class Workspace:
-    """The rectangle in which particles are seen: corners `low` and `high` (2,) [m]."""
+    """Rectangle in which particles are tracked: corners `low` and `high` (2,) [m]."""
 
     low: np.ndarray
     high: np.ndarray
 
     def holds(self, position: np.ndarray, margin: float = 0.0) -> np.ndarray:
-        """Whether each `position` (..., 2) [m] lies inside, `margin` [m] off the edge; NaN does
-        not.
+        """Return whether each `position` (..., 2) [m] lies inside, `margin` [m] from the edge.
+
+        NaN does not.
         """
         inside = (self.low + margin <= position) & (position <= self.high - margin)
         return np.asarray(inside.all(-1))
 
 
-NO_IDS = np.empty(0, int)
-NO_PLACES = np.empty((0, 2))
+NO_IDS, NO_PLACES = np.empty(0, int), np.empty((0, 2))
 
 
 @dataclass(frozen=True)
 class Goals:
-    """Where to go: `position` (G, 2) [m]; `ids` (G,) names whose goal each is.
+    """Goals at `position` (G, 2) [m], of the particles with `ids` (G,).
 
-    Without ids a list: waypoints in order for one particle, or goals of the particles in
+    Without ids they are a list: waypoints in order for one particle, or goals of the particles in
     ascending order of their ids.
     """
 
@@ -147,17 +149,39 @@ PER_PARTICLE = (
 
 @dataclass(frozen=True)
 class ControllerInput:
-    """All that a controller may look at, at one tick.
+    """All inputs of a controller at one tick.
 
-    `t` [s] is now, `dt` since the tick before, `age` since the exposure of the poses. Particles:
-    `ids` (N,), measured `position` (N, 2), its standard deviation `sigma` (N,), heading `theta`
-    (N,) (NaN where unknown). Estimates: `speed` (N,) [m/s, or m/s/Hz of rollers] and `phi` (N,)
-    with `speed_std` and `phi_std` (inf: nothing is known). `expected` (N, 2) is where the
-    particles will be when a command given now takes effect, `delay` [s] later, as far as that is
-    known.
-    `field` (2,) and `frequency` are the command before, `record` those of the last seconds.
-    `joystick` (2,), within the unit circle, is a person's hand. `path` (P, 2). `plan`: a row of
-    fields that somebody wants played, on a clock that begins with it; its last row is its end.
+    Attributes
+    ----------
+    t, dt, age : float [s]
+        Present time, time since the last tick, time since the exposure of the poses.
+    ids : (N,) int array
+    position : (N, 2) array [m]
+        Measured, with standard deviation `sigma`.
+    sigma : (N,) array [m]
+    theta : (N,) array [rad]
+        Heading, NaN if unknown.
+    speed, speed_std : (N,) array [m/s], or [m/s/Hz] for rollers
+        Estimate; a standard deviation of inf means unknown.
+    phi, phi_std : (N,) array [rad]
+        Estimated offset angle.
+    limits : Limits
+    workspace : Workspace
+    delay : float
+        Time until a command given now takes effect [s].
+    goals : Goals
+    path : (P, 2) array [m]
+    field, frequency : (2,) array [T], float [Hz]
+        The previous command.
+    joystick : (2,) array
+        Deflection within the unit circle.
+    model : Model or None
+    expected : (N, 2) array [m]
+        Predicted positions at `t` + `delay`, as far as they are known.
+    record : FieldRecord
+        Commands of the last seconds.
+    plan : Commands or None
+        Fields to be played, on a clock that starts with them; the last row is the end.
     """
 
     t: float
@@ -185,24 +209,31 @@ class ControllerInput:
     plan: Commands | None = None
 
     def index(self, particle: int) -> int:
-        """The row of a particle; ParticleLostError where it is not seen."""
+        """Return the row of a `particle`; ParticleLostError if it is not tracked."""
         rows = np.flatnonzero(self.ids == particle)
         if not rows.size:
             raise ParticleLostError(f'particle {particle} is not seen')
         return int(rows[0])
 
     def learned(self, phi_std: float) -> np.ndarray:
-        """Of which particles (N,) φ is known to within a standard deviation `phi_std` [rad]."""
+        """Return which particles (N,) have a known φ, to a standard deviation `phi_std` [rad]."""
         return np.isfinite(self.phi) & (self.phi_std <= phi_std)
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a controller has come, for people and for whoever waits for it.
+    """Progress of a controller, for people and for waiting programs.
 
-    `distance` [m] is what is left to its goal, NaN where that means nothing; `done` says that
-    what was asked has been reached; `message` says in words what it does; `goal` is the number of
-    the goal it goes to, from 0, None where goals are not taken one after the other.
+    Attributes
+    ----------
+    message : str
+        What the controller is doing.
+    done : bool
+        Whether the request is fulfilled.
+    distance : float
+        Remaining distance to the goal [m], NaN if undefined.
+    goal : int or None
+        Index of the present goal, None if goals are not taken one after the other.
     """
 
     message: str = ''
@@ -213,12 +244,22 @@ class Progress:
 
 @dataclass(frozen=True)
 class FieldCommand:
-    """One tick's answer: the wanted `field` (2,) or (3,) [T] and, for rollers, its `frequency`
-    [Hz].
+    """Command of one tick.
 
-    `particles` (K,) are the ids of those it is meant for, which are kept in view; None: all.
-    A field that turns rolls along its part in the plane, or goes round the `axis` (3,), a unit
-    vector, right-handed. What has an axis, or a part along z, is kept in view by nobody.
+    A rotating field rolls particles along its in-plane part, or rotates about `axis`,
+    right-handed. The manager keeps no particles in view for commands with an axis or a part along
+    z.
+
+    Attributes
+    ----------
+    field : (2,) or (3,) array [T]
+    frequency : float
+        Rotation frequency for rollers [Hz].
+    progress : Progress
+    particles : (K,) int array or None
+        Ids of the driven particles, which are kept in view; None: all.
+    axis : (3,) array or None
+        Unit vector.
     """
 
     field: np.ndarray
@@ -229,7 +270,7 @@ class FieldCommand:
 
     @property
     def angular_velocity(self) -> np.ndarray:
-        """ω (3,) [rad/s] of the field: rollers go along ω̂ × ẑ; zero for one that stands."""
+        """ω (3,) [rad/s] of the field, rollers move along ω̂ × ẑ; zero for a static field."""
         axis = self.axis
         if axis is None:
             x, y = self.field[:2] / (math.hypot(*self.field[:2]) or 1.0)
@@ -238,7 +279,7 @@ class FieldCommand:
 
     @property
     def drive(self) -> np.ndarray:
-        """The part (2,) [T] along which particles swim, or roll."""
+        """In-plane vector (2,) [T] along which particles swim or roll."""
         if self.axis is None:
             return self.field[:2]
         x, y = float(np.linalg.norm(self.field)) * self.axis[:2]
@@ -246,64 +287,66 @@ class FieldCommand:
 
     @property
     def in_plane(self) -> bool:
-        """Whether it is of the kind that drives what swims or rolls along the plane."""
+        """Whether the command drives particles along the plane only."""
         return self.axis is None and len(self.field) == 2
 
 
 def no_field(message: str, done: bool = False) -> FieldCommand:
-    """The command that lets go, with a `message`, and whether all is `done`, as its progress."""
+    """Return a command of zero field with a `message` and `done` as its progress."""
     return FieldCommand(np.zeros(2), progress=Progress(message, done))
 
 
 @dataclass(frozen=True)
 class NoParameters:
-    """For controllers that have none."""
+    """Parameters of controllers that have none."""
 
 
 class Controller(ABC):
     """Base of all controllers.
 
-    A subclass states the `interface_version` it was written for, a one-line `summary`, what it
-    `takes`, and as `Parameters` a frozen dataclass of `settings.setting` fields whose names end in
-    their units.
+    A subclass states the `interface_version` it was written for, a one-line `summary`, the inputs
+    it `takes`, and as `Parameters` a frozen dataclass of `settings.setting` fields whose names end
+    in their units.
     """
 
     interface_version: ClassVar[int]
     summary: ClassVar[str]
     Parameters: ClassVar[type] = NoParameters
     repeatable: ClassVar[bool] = True
-    """Whether its commands follow from what it is given, and not from how fast the machine is."""
+    """Whether commands depend on the inputs only, not on the speed of the computer."""
     takes: ClassVar[frozenset[Input] | None] = None
-    """What it acts on beside the particles: goals, paths and plans that it does not take are
-    refused. None, for controllers that do not say so, takes everything."""
+    """Inputs that it uses besides the particles; other goals, paths and plans are refused.
+
+    None, for controllers that do not declare it, means all inputs.
+    """
 
     @classmethod
     def accepts(cls, what: Input) -> bool:
-        """Whether it acts on `what`."""
+        """Return whether it uses the input `what`."""
         return cls.takes is None or what in cls.takes
 
     def __init__(self) -> None:
         self.parameters: Any = self.Parameters()
 
     def configure(self, parameters: Any) -> None:
-        """Take `parameters`, each already within its range; ValueError refuses them whole.
+        """Take `parameters`, each already within its range; ValueError refuses all of them.
 
-        Heavy imports and reading files belong here: ticks have no time for them.
+        Heavy imports and file reading belong here: ticks have no time for them.
         """
         self.parameters = parameters
 
     def activate(self, inputs: ControllerInput) -> None:  # noqa: B027
-        """Get ready to take over from the command in `inputs.field`.
+        """Prepare to take over from the command in `inputs.field`.
 
         Raise a ControllerError if something indispensable is missing: the switch is refused.
         """
 
     @abstractmethod
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """The command of this tick, within `inputs.limits`."""
+        """Return the command of this tick, within `inputs.limits`."""
 
     def deactivate(self) -> None:  # noqa: B027
-        """Another controller takes over; state that should survive until the next time may."""
+        """Stop driving: another controller takes over. State may be kept until the next time."""
 
     def reset(self) -> None:  # noqa: B027
         """Forget everything but the parameters."""

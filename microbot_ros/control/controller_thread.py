@@ -22,24 +22,32 @@ from microbot_ros.control.deadline_worker import (
 )
 
 CONFIGURING = 30.0
-"""How long [s] taking new parameters may last: files are read and code is compiled meanwhile."""
+"""Choice: time limit of `configure` [s], in which files are read and code is compiled."""
 
 AGAIN = 'set it again'
-"""How the refusal of parameters ends that are not taken yet; asked again they will be."""
+"""End of the refusal of parameters that are still being configured; a repetition succeeds."""
 
 
 class ConfiguringError(LateError):
-    """Parameters are being taken aside, and are not there yet."""
+    """Parameters are still being configured in the background."""
 
 _log = logging.getLogger(__name__)
 
 
 class ControllerThread:
-    """Calls a controller, in order and each with a deadline, from a thread of its own.
+    """Calls a controller from its own thread, in order and each call with a deadline.
 
-    `name` is for messages; `worker` makes, from the patience, what makes the calls. A call that
-    does not return in `patience` [s] is left behind, and the controller is replaced by a fresh one
-    with the same parameters.
+    A call that does not return within `patience` [s] is abandoned, and a fresh controller with the
+    same parameters replaces the old one.
+
+    Parameters
+    ----------
+    name : str
+        Name in messages.
+    controller : Controller
+    patience : float [s]
+    worker : callable
+        Makes the worker that calls the controller from the patience.
     """
 
     def __init__(self, name: str, controller: Controller, patience: float,
@@ -51,19 +59,20 @@ class ControllerThread:
         self._configured: Call | None = None
         self._aside = worker(patience)
         self._prepared: tuple[Any, Controller, Call] | None = None
-        """Parameters, a controller that takes them aside, and the call in which it does."""
+        """Parameters, the controller that is configured with them, and the call doing so."""
         self._active = False
 
     @property
     def parameters(self) -> Any:
-        """What it was configured with."""
+        """Parameters that it was configured with."""
         return self._parameters
 
     def prepare(self, parameters: Any, seconds: float) -> None:
-        """Have a fresh controller configured with `parameters`, in a thread beside that of ticks.
+        """Configure a fresh controller with `parameters` in a background thread.
 
-        Returns once it is; ConfiguringError where that takes more than `seconds`: it goes on, and
-        to prepare the same again finds it. Raises what `configure` raises.
+        Returns when it is ready. Raises ConfiguringError if that takes more than `seconds`: it
+        continues, and preparing the same parameters again finds it. Raises what `configure`
+        raises.
         """
         if self._prepared is None or self._prepared[0] != parameters:
             self._aside.leave_behind()
@@ -86,11 +95,11 @@ class ControllerThread:
         self._prepared = None
 
     def configure(self, parameters: Any, seconds: float = CONFIGURING) -> None:
-        """Give it other parameters, within `seconds`; if it raises, it keeps those it has.
+        """Set other parameters, within `seconds`; if that raises, the old ones are kept.
 
-        They are taken by a fresh controller first (`prepare`), so that neither what is refused
-        nor what takes long touches the one that may drive. That one takes them then; where it
-        is late, the fresh one takes its place.
+        A fresh controller takes them first (`prepare`), so that neither refused nor slow
+        parameters affect the one that may be driving, which takes them afterwards. If it is late,
+        the fresh one replaces it.
         """
         self.prepare(parameters, seconds)
         assert self._prepared is not None
@@ -109,8 +118,10 @@ class ControllerThread:
         self._parameters, self._configured = parameters, None
 
     def restore(self, parameters: Any, seconds: float = CONFIGURING) -> None:
-        """Give back parameters that it had, within `seconds`. If it can't, it does not drive
-        before it has them."""
+        """Set parameters that it had before, within `seconds`.
+
+        If that fails, it does not drive before it has them.
+        """
         try:
             self.configure(parameters, seconds)
         except Exception:
@@ -118,9 +129,7 @@ class ControllerThread:
             self.renew()
 
     def activate(self, inputs: ControllerInput, deadline: float) -> None:
-        """Let it get ready for `inputs`. Where that is late it is replaced: what it did is not
-        known.
-        """
+        """Activate it with `inputs` within `deadline` [s]; a late one is replaced."""
         controller, configured = self._controller, self._configured
 
         def run() -> None:
@@ -132,8 +141,9 @@ class ControllerThread:
         self._active = True
 
     def compute(self, inputs: ControllerInput, deadline: float) -> FieldCommand:
-        """Its command for `inputs`, within `deadline` [s]; where need be activated, in half of
-        that.
+        """Return its command for `inputs` within `deadline` [s].
+
+        If it must be activated first, half of that time is for the activation.
         """
         if not self._active:
             deadline /= 2
@@ -143,7 +153,7 @@ class ControllerThread:
         return command
 
     def deactivate(self, deadline: float) -> None:
-        """Let it go. One that still works on its last tick is replaced."""
+        """Deactivate it within `deadline` [s]; if it is still busy, a fresh one replaces it."""
         if not self._active:
             return
         self._active = False
@@ -153,18 +163,18 @@ class ControllerThread:
             _log.warning('%s: deactivating: %s', self._name, reason(error))
 
     def renew(self) -> None:
-        """A fresh controller in place of one whose state can't be trusted or is to be forgotten.
+        """Replace the controller by a fresh one, if its state is unreliable or to be forgotten.
 
-        What was configured stays; a call that still runs works on the old one.
+        The parameters stay; a running call continues on the old one.
         """
         self.close()
         fresh = self._controller = type(self._controller)()
         parameters = self._parameters
-        # Nobody waits: it may read a file, which takes longer than a tick.
+        # Not waited for: it may read a file, which takes longer than a tick.
         self._configured = self._worker.post(lambda: fresh.configure(parameters))
 
     def close(self) -> None:
-        """Let its thread go."""
+        """Release its thread."""
         self._worker.leave_behind()
         self._active = False
 
@@ -179,6 +189,6 @@ class ControllerThread:
 
 
 def reason(error: Exception) -> str:
-    """The `error` in words for people."""
+    """Return a message for an `error`."""
     named = isinstance(error, ControllerError | LateError | HungError | ValueError)
     return str(error) if named else f'{type(error).__name__}: {error}'

@@ -1,4 +1,4 @@
-"""Calls with a deadline: what hangs is left behind, and the loop goes on."""
+"""Calls with a deadline: a call that hangs is abandoned, and the loop goes on."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from typing import Generic, TypeVar
 T = TypeVar('T')
 
 SWITCH_INTERVAL = 1e-4
-"""How long [s] a thread may keep the interpreter while another waits for it."""
+"""Choice: time [s] that a thread may keep the interpreter while another waits for it."""
 
 
 class LateError(Exception):
-    """A call has not returned within its deadline; it goes on, and nothing else is begun."""
+    """A call missed its deadline; it continues, and nothing else is started meanwhile."""
 
 
 class BusyError(LateError):
-    """An earlier call has not returned yet; this one was not begun."""
+    """An earlier call has not returned yet; this one was not started."""
 
 
 class HungError(Exception):
-    """A call has not returned for so long that it was left behind."""
+    """A call has not returned for so long that it was abandoned."""
 
 
 class Call(Generic[T]):
-    """A call of `function`, when it was made and what came of it."""
+    """A call of `function`, its start time and its result."""
 
     def __init__(self, function: Callable[[], T]) -> None:
         self.function = function
@@ -40,7 +40,7 @@ class Call(Generic[T]):
         self.value: T
 
     def run(self) -> None:
-        """Make it, and keep its value or what it raises."""
+        """Make the call and keep its value or exception."""
         try:
             self.value = self.function()
         except BaseException as error:
@@ -49,17 +49,17 @@ class Call(Generic[T]):
 
 
 class DeadlineWorker:
-    """One thread that makes calls for another, which waits no longer than it wants to.
+    """Thread that makes calls for another, which waits only until a deadline.
 
-    A call that is late goes on, and until it returns nothing else is begun. After `patience` [s]
-    it is left behind: its thread is told to end as soon as Python code in it runs again, and the
-    next call gets a new one. A call that holds the interpreter's lock in foreign code stops the
-    whole process; against that only the dead-man in the coil driver helps.
+    A late call continues, and nothing else is started until it returns. After `patience` [s] it is
+    abandoned: its thread is made to end as soon as Python code runs in it again, and the next call
+    gets a new thread. A call that holds the interpreter lock in foreign code stops the whole
+    process; against that only the dead-man switch in the coil driver helps.
     """
 
     def __init__(self, patience: float) -> None:
-        # A thread that waits gets the interpreter back from one that computes only this often;
-        # Python's default of 5 ms would come on top of every deadline.
+        # A waiting thread gets the interpreter back from a computing one only this often; Python's
+        # default of 5 ms would add to every deadline.
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
         self._patience = patience
         self._calls: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
@@ -68,10 +68,10 @@ class DeadlineWorker:
         self._newest: Call | None = None
 
     def call(self, function: Callable[[], T], deadline: float) -> T:
-        """The value of `function()`, or what it raises.
+        """Return the value of `function()`, or raise what it raises.
 
-        LateError after `deadline` [s], or at once if an earlier call still goes on; HungError
-        when that one has now been left behind.
+        Raises LateError after `deadline` [s], or at once if an earlier call still runs, and
+        HungError if that one has now been abandoned.
         """
         self._check_last()
         self._waited_for = call = self.post(function)
@@ -79,12 +79,12 @@ class DeadlineWorker:
             raise LateError(f'took longer than {deadline * 1e3:g} ms')
         if isinstance(call.error, Exception):
             raise call.error
-        if call.error is not None:  # a call to exit must not end the loop
+        if call.error is not None:  # SystemExit must not end the loop
             raise RuntimeError(f'raised {type(call.error).__name__}') from call.error
         return call.value
 
     def post(self, function: Callable[[], T]) -> Call[T]:
-        """A call of `function` for which nobody waits; those made later come after it."""
+        """Start a call of `function` without waiting for it; later calls come after it."""
         if self._thread is None:
             self._calls = queue.SimpleQueue()
             self._thread = threading.Thread(target=_serve, args=(self._calls,), daemon=True)
@@ -94,11 +94,11 @@ class DeadlineWorker:
         return call
 
     def finished(self, call: Call[T], seconds: float) -> bool:
-        """Whether a `call` that was posted returns within so many `seconds`."""
+        """Return whether a posted `call` returns within `seconds`."""
         return call.returned.wait(seconds)
 
     def leave_behind(self) -> None:
-        """Let go of the thread: if idle it ends at once, otherwise when its call lets it."""
+        """Abandon the thread: it ends at once if idle, otherwise when its call allows it."""
         busy = self._newest is not None and not self._newest.returned.is_set()
         if busy and self._thread is not None and self._thread.ident is not None:
             identity = ctypes.c_ulong(self._thread.ident)
@@ -118,7 +118,7 @@ class DeadlineWorker:
 
 
 class UnhurriedWorker(DeadlineWorker):
-    """Calls in the thread of whoever asks, for as long as they take."""
+    """Worker that makes calls in the calling thread, for as long as they take."""
 
     def call(self, function: Callable[[], T], deadline: float) -> T:
         return function()
@@ -129,10 +129,10 @@ class UnhurriedWorker(DeadlineWorker):
         return call
 
     def leave_behind(self) -> None:
-        """There is nobody to leave."""
+        """Do nothing: there is no thread."""
 
 
 def _serve(calls: queue.SimpleQueue[Call | None]) -> None:
-    with suppress(SystemExit):  # it may be told to end on the way into a call
+    with suppress(SystemExit):  # the order to end may arrive between two calls
         while (call := calls.get()) is not None:
             call.run()

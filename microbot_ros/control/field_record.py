@@ -1,4 +1,4 @@
-"""What the field did and will do: the commands on their way, and what they add up to."""
+"""Record of commanded fields, past and on their way, and their integral."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import numpy as np
 
 
 class FieldRecord:
-    """The commands of the last seconds, by the time at which each begins to act."""
+    """Commands of the last seconds, by the time at which each takes effect."""
 
     def __init__(self) -> None:
         self._steps: deque[tuple[float, complex, float]] = deque(maxlen=256)
 
     def clear(self) -> None:
-        """Forget the commands: what the particles did meanwhile is not known."""
+        """Forget the commands: the motion meanwhile is not known."""
         self._steps.clear()
 
     def reaches(self, t: float) -> bool:
-        """Whether all that acted since `t` [s] is known."""
+        """Return whether all commands since `t` [s] are known."""
         return bool(self._steps) and self._steps[0][0] <= t
 
     def note(self, t: float, field: np.ndarray, frequency: float) -> None:
-        """From `t` [s] on the field (2,) [T] acts, rotating at `frequency` [Hz] for rollers.
+        """Add a command: the `field` (2,) [T] acts from `t` [s] on, rotating at `frequency` [Hz].
 
         Particles keep their direction when the field goes to zero.
         """
@@ -32,9 +32,10 @@ class FieldRecord:
         self._steps.append((t, direction, frequency))
 
     def shared(self, begin: float, end: float, rolling: bool = False) -> complex:
-        """∫u dt [s] from `begin` to `end`, u the field's direction as a complex number.
+        """Return ∫u dt [s] from `begin` to `end`, u the complex direction of the field.
 
-        For `rolling` particles ∫f u dt, in turns. Nothing before the first command known.
+        For `rolling` particles ∫f u dt, in turns. Time before the first command contributes
+        nothing.
         """
         total = 0j
         for t, direction, frequency in reversed(self._steps):

@@ -1,4 +1,4 @@
-"""Runs one of several controllers, switches them, and lets nothing unsafe out. No ROS in it."""
+"""Manager that runs one of several controllers, switches them and checks commands; free of ROS."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from microbot_ros.control.steering.forecast import look_ahead
 _log = logging.getLogger(__name__)
 
 LONGEST_STEP = 0.1
-"""A tick counts as no longer than this [s] for the slew: after a gap the field does not jump."""
+"""Choice: longest tick [s] counted for the slew, so that the field does not jump after a gap."""
 
 
 @dataclass(frozen=True)
 class SwitchResult:
-    """Whether a request was granted (`ok`), and a `message`: why not, or what has changed."""
+    """Whether a request was granted (`ok`), and a `message` on why not or what changed."""
 
     ok: bool
     message: str = ''
@@ -49,8 +49,11 @@ class SwitchResult:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one tick gives: the command to send, or None for no command at all; how it came to
-    that, and a `message` on it."""
+    """Outcome of one tick.
+
+    `command` is to be sent, None for no command at all; `result` and `message` say how it came
+    about.
+    """
 
     command: FieldCommand | None
     result: Result = Result.OK
@@ -58,18 +61,30 @@ class Outcome:
 
 
 class ControllerManager:
-    """All controllers of a rig, of which one drives.
+    """All controllers of a rig, one of which is active.
 
-    `controllers` by name, `active` the first to drive. A tick waits at most `deadline` [s] for
-    its controller and gives it up after `patience` [s]. Poses older than `pose_timeout` [s] mean
-    no command. Particles that would be out of the workspace within `border` [s] turn the field;
-    0: never. `worker` makes, from that patience, what calls a controller. Whatever goes wrong, the
-    field falls to zero at the allowed slew, and the outcome says why. After a fault the controller
-    is not asked again before the next successful switch.
+    On any error the field falls to zero at the allowed slew, and the outcome gives the reason.
+    After a fault the controller is not called again before the next successful switch.
 
-    Every command starts from the field that flows: the last command, or zero after stale poses,
-    after a gap between frames of more than `pose_timeout`, which no dead-man lets pass, and after
-    `let_go` and `reset`. Whoever drives the coils calls `let_go` when it puts them to zero.
+    Every command starts from the present field: the last command, or zero after stale poses, after
+    a gap between frames of more than `pose_timeout` (which trips every dead-man switch), and after
+    `let_go` and `reset`. The driver of the coils calls `let_go` when it sets them to zero.
+
+    Parameters
+    ----------
+    controllers : dict of str to Controller
+    active : str
+        The first active controller.
+    deadline : float
+        Longest time [s] that a tick waits for its controller.
+    patience : float
+        Time [s] after which a call is abandoned.
+    pose_timeout : float
+        Age of the poses [s] beyond which there is no command.
+    border : float
+        The field is turned if particles would leave the workspace within this time [s]; 0: never.
+    worker : callable
+        Makes the worker that calls a controller from the patience.
     """
 
     def __init__(
@@ -90,33 +105,34 @@ class ControllerManager:
 
     @property
     def active(self) -> str:
-        """The name of the controller that drives."""
+        """Name of the active controller."""
         return self._active
 
     @property
     def fault(self) -> str:
-        """Why the active controller is not asked any more; '' while it is."""
+        """Why the active controller is no longer called; '' while it is."""
         return self._fault
 
     def configure(self, name: str, parameters: Any, seconds: float = CONFIGURING) -> SwitchResult:
-        """Give one controller new parameters, whether it drives or not; all or nothing.
+        """Set new `parameters` of the controller `name`, active or not, or keep the old ones.
 
-        Waits `seconds` at most, as `change` does.
+        Waits at most `seconds`, as `change` does.
         """
         return self._try(name, lambda: self._threads[name].configure(parameters, seconds))
 
     def change(self, parameters: Mapping[str, Any], drives: str = '',
                seconds: float = CONFIGURING) -> SwitchResult:
-        """New parameters for the controllers named, then another one that drives: all or nothing.
+        """Set new `parameters` of controllers by name and switch to another one: all or nothing.
 
-        `drives` is '' where the same goes on driving. A controller that takes its parameters for
-        more than `seconds` does so aside: the change is refused with a message that ends in
-        `AGAIN`, and the same change, asked again once it is ready, is made at once.
+        `drives` is the controller to switch to, '' for none. If a controller needs more than
+        `seconds` for its parameters, it continues in the background: the change is refused with a
+        message that ends in `AGAIN`, and the same change, requested again once it is ready, is
+        made at once.
         """
         before = {name: self._threads[name].parameters for name in parameters}
         taken: list[str] = []
         answer = SwitchResult(True)
-        for name, values in parameters.items():  # so that one that is not ready undoes no other
+        for name, values in parameters.items():  # all first, so that nothing has to be undone
             if answer.ok:
                 answer = self._try(name, partial(self._threads[name].prepare, values, seconds))
         for name, values in parameters.items():
@@ -142,11 +158,11 @@ class ControllerManager:
         return SwitchResult(True)
 
     def switch_controller(self, name: str) -> SwitchResult:
-        """Let another controller drive from the next tick on; if it can't, nothing changes.
+        """Activate the controller `name` from the next tick on; if that fails, nothing changes.
 
-        It is activated here, within the deadline, against the input of the last tick and the
-        present field; then the one before is deactivated, in half of that. Naming the controller
-        that drives restarts it, after a fault too.
+        It is activated here, within the deadline, with the input of the last tick and the present
+        field; then the previous one is deactivated, in half of that time. Naming the active
+        controller restarts it, also after a fault.
         """
         if name not in self._threads:
             known = ', '.join(self._threads)
@@ -166,20 +182,20 @@ class ControllerManager:
         return SwitchResult(True, f'{name} drives')
 
     def let_go(self) -> None:
-        """No field flows any more: the next command starts from zero."""
+        """Set the field to zero: the next command starts from there."""
         self._field = np.zeros(3)
 
     def reset(self) -> None:
-        """Let go, and every controller forgets what it learned and did."""
+        """Set the field to zero and reset every controller."""
         self.let_go()
         self._record.clear()
         for thread in self._threads.values():
             thread.renew()
 
     def tick(self, inputs: ControllerInput) -> Outcome:
-        """The command for `inputs`, or None where the poses are too old to give one.
+        """Return the command for `inputs`, or None if the poses are too old.
 
-        Particles without a finite position are left out before the controller looks.
+        Particles without a finite position are removed first.
         """
         fresh = abs(inputs.age) <= self._pose_timeout
         if not fresh or inputs.dt > self._pose_timeout:
@@ -199,13 +215,13 @@ class ControllerManager:
         return Outcome(command, result, message)
 
     def close(self) -> None:
-        """Let the active controller go; nothing may be asked afterwards."""
+        """Deactivate the controller and release all threads; nothing may be called later."""
         self._threads[self._active].deactivate(self._deadline)
         for thread in self._threads.values():
             thread.close()
 
     def _ask(self, inputs: ControllerInput) -> tuple[FieldCommand, Result, str]:
-        """What the controller answers, or zero field with the reason why not that."""
+        """Return the checked command of the controller, or zero field with the reason."""
         if self._fault:
             return no_field(self._fault), Result.FAULT, self._fault
         try:
@@ -235,7 +251,7 @@ def _usable(inputs: ControllerInput) -> ControllerInput:
 
 
 def _with_delay_of_model(inputs: ControllerInput) -> ControllerInput:
-    """A delay that the model knows of adds to how long a command takes to act."""
+    """Move the delay of the model into the delay of the input."""
     model = inputs.model
     if model is None or not model.delay:
         return inputs
@@ -244,8 +260,10 @@ def _with_delay_of_model(inputs: ControllerInput) -> ControllerInput:
 
 
 def _checked(command: FieldCommand, limits: Limits) -> FieldCommand:
-    """The command with a field of its own, (2,) or (3,), and, where it has one, an axis of unit
-    length; ValueError unless finite and within limits."""
+    """Return the command with a copied field (2,) or (3,) and an axis of unit length, if any.
+
+    Raises ValueError unless it is finite and within limits.
+    """
     field = np.array(command.field, dtype=float).reshape(-1)
     if len(field) not in (2, 3):
         raise ValueError(f'commanded a field of {len(field)} components; expected 2 or 3')
@@ -269,15 +287,15 @@ def _unit(axis: np.ndarray | None) -> np.ndarray | None:
 
 
 def _in_space(field: np.ndarray) -> np.ndarray:
-    """A field (2,) or (3,) as (3,)."""
+    """Return a field (2,) or (3,) as (3,)."""
     return np.array([*field.tolist(), 0.0][:3])
 
 
 def _approach(now: np.ndarray, wanted: np.ndarray, inputs: ControllerInput) -> np.ndarray:
-    """The wanted field, or as far towards it as the slew lets one tick go.
+    """Return the wanted field, or as far towards it as the slew allows in one tick.
 
-    A clock that stands or runs backwards gives no time to change in: the field stays. Letting
-    go needs none.
+    If the clock stands or runs backwards, the field stays, or is switched off, which needs no
+    time.
     """
     if not inputs.dt > 0:
         return now if wanted.any() else wanted

@@ -1,19 +1,19 @@
-"""What a learned policy is shown and what its answer means, in training and at the rig alike.
+"""Observations and actions of a learned policy, in training and on the rig alike.
 
-The task: each of K particles has a goal and is to have been there once, all driven by one field.
-A particle at p moves by c ∫u dt, with its velocity phasor c = v e^{iφ} and the direction u of the
-field, so that (g − p)/c [s] is the ∫u dt that takes it to its goal g: counted like that, one field
-moves all particles alike. A policy sees 2 + 7 K numbers of single precision:
+The task: each of K particles has a goal and is to reach it once, all driven by one field. A
+particle at p moves by c ∫u dt, with its velocity phasor c = v e^{iφ} and the direction u of the
+field; (g − p)/c [s] is thus the ∫u dt that takes it to its goal g. In this form one field moves
+all particles alike. An observation has 2 + 7 K numbers of single precision:
 
-    0, 1   the field that flows, as a part of the strongest allowed;
-    then of each particle, in ascending order of the ids,
-    0, 1   (g − p)/c in units of 30 s, or 0 once it has been at its goal,
+    0, 1   the present field, as a part of the largest allowed;
+    then for each particle, in ascending order of the ids,
+    0, 1   (g − p)/c in units of 30 s, or 0 once it has reached its goal,
     2, 3   p, ±1 at the borders of the workspace,
     4, 5   c in units of 10 µm/s,
-    6      1 until it has been at its goal, then 0;
+    6      1 until it has reached its goal, then 0;
 
-each cut off at ±10. It answers with two: the wanted field as a part of the strongest allowed. What
-is longer than 1 is shortened to that.
+each clipped to ±10. An action has two: the wanted field as a part of the largest allowed,
+shortened to length 1 if it is longer.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from microbot_ros.control.planning.assignment import Assignment
 from microbot_ros.control.planning.shared import as_complex
 
 SHARED_NUMBERS, PARTICLE_NUMBERS = 2, 7
-"""How many numbers of an observation are of the field, and how many of each particle."""
+"""Numbers of an observation for the field, and for each particle."""
 LARGEST = 10.0
-"""Where each of them is cut off."""
+"""Choice: value to which each number is clipped."""
 ARRIVAL = 2e-6
-"""A goal counts as reached from this close [m]."""
-_WAY_S, _SPEED = 30.0, 10e-6
+"""Choice: distance [m] within which a goal is reached."""
+_WAY_S, _SPEED = 30.0, 10e-6  # choices: units of the observation, which make numbers near 1
 
 
 def distances(position: np.ndarray, goals: np.ndarray) -> np.ndarray:
-    """How far [m] particles at a `position` (..., 2) [m] are from their `goals` (..., 2) [m]."""
+    """Return the distances [m] of `position` (..., 2) [m] from `goals` (..., 2) [m]."""
     return np.asarray(np.abs(as_complex(goals - position)))
 
 
@@ -42,11 +42,18 @@ def observation(
     position: np.ndarray, velocity_phasor: np.ndarray, goals: np.ndarray, waiting: np.ndarray,
     share: np.ndarray, workspace: Workspace,
 ) -> np.ndarray:
-    """What a policy is shown (..., 2 + 7 K), float32.
+    """Return the observation (..., 2 + 7 K), float32.
 
-    Of each particle `position` (..., K, 2) [m], `velocity_phasor` (..., K) [m/s], its goal of
-    `goals` (..., K, 2) [m] and whether it is still `waiting` (..., K) to be there; the `share`
-    (..., 2) of the strongest field that flows. The way of one that does not move is shown as 0.
+    Parameters
+    ----------
+    position, goals : (..., K, 2) array [m]
+    velocity_phasor : (..., K) complex array [m/s]
+        A particle that does not move gets a path of 0.
+    waiting : (..., K) bool array
+        Whether the goal has not been reached yet.
+    share : (..., 2) array
+        Present field over the largest allowed.
+    workspace : Workspace
     """
     low, high = workspace.low, workspace.high
     way = np.zeros(waiting.shape, complex)
@@ -63,9 +70,9 @@ def observation(
 
 
 def wanted_field(action: np.ndarray, strongest: float) -> np.ndarray:
-    """The field (..., 2) [T] that an `action` (..., 2) asks for; NaN where that is no number.
+    """Return the field (..., 2) [T] for an `action` (..., 2); NaN if that is not finite.
 
-    `strongest` [T] is the largest that is allowed.
+    `strongest` [T] is the largest field allowed.
     """
     action = np.asarray(action, dtype=float)
     with np.errstate(invalid='ignore', over='ignore'):
@@ -75,18 +82,18 @@ def wanted_field(action: np.ndarray, strongest: float) -> np.ndarray:
 
 
 class PolicyTask:
-    """Whose goal is whose, who has been there, and what a policy is shown of it."""
+    """Goals of the particles, which have been reached, and the observation of them."""
 
     def __init__(self) -> None:
         self._assignment = Assignment()
         self.waiting = np.zeros(0, bool)
-        """Which particles (K,), in ascending order of their ids, have not been at their goals."""
+        """Particles (K,), in ascending order of ids, that have not reached their goals."""
 
     def rows(self, inputs: ControllerInput) -> np.ndarray:
-        """The rows (K,) in `inputs` of the particles that have goals; new goals begin the task.
+        """Return rows (K,) in `inputs` of the particles with goals; new goals restart the task.
 
-        GoalError for one outside the workspace, ParticleLostError where a particle that has one
-        is not seen.
+        Raises GoalError for a goal outside the workspace, ParticleLostError if a particle with a
+        goal is not tracked.
         """
         if self._assignment.update(inputs):
             self.waiting = np.ones(len(inputs.goals), bool)
@@ -96,7 +103,7 @@ class PolicyTask:
         return rows
 
     def observation(self, inputs: ControllerInput) -> np.ndarray:
-        """What a policy is shown (2 + 7 K,) of `inputs`; who is at a goal has now been there."""
+        """Return the observation (2 + 7 K,) of `inputs`, and record goals that are reached."""
         rows = self.rows(inputs)
         goals, place = self._assignment.pairs(inputs)[1], inputs.position[rows]
         self.waiting &= distances(place, goals) > ARRIVAL

@@ -1,8 +1,8 @@
-"""What particles under one field can reach, what they can't, and what an added effect opens.
+"""Reachable positions of particles under one field, and those that an added effect opens.
 
-Under the first-order model all N particles share one displacement U = ∫u dt: of the 2N
-dimensions of their positions two are reachable. Effects that particles feel differently open
-more; how much is found by trying commands at random with the model itself.
+Under the first-order model all N particles share one displacement U = ∫u dt: of the 2N dimensions
+of their positions, two are reachable. Effects that act differently on the particles open more; how
+many is determined by random commands to the model itself.
 """
 
 from __future__ import annotations
@@ -22,17 +22,23 @@ HANDLES = {
     'strength': 'and changing its strength',
     'off': 'and switching it off',
 }
-"""Kinds of command, each holding the ones before."""
+"""Kinds of command, each including the ones before."""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """What the first-order model allows.
+    """Reachable set of the first-order model.
 
-    `subspace` (2N, 2): orthonormal columns that span the displacements (x₁, y₁, x₂, …) all
-    particles can make together; `displacement` U* [s], `ends` (N,) complex [m] where it brings
-    them, `left` (N,) complex [m] from there to the goals; `floor` [m] its RMS, which no
-    controller beats.
+    Attributes
+    ----------
+    subspace : (2N, 2) array
+        Orthonormal columns that span the shared displacements (x₁, y₁, x₂, …).
+    displacement : complex
+        Best displacement U* [s].
+    ends, left : (N,) complex array [m]
+        Positions after it, and the remaining vectors to the goals.
+    floor : float
+        RMS of `left` [m], below which no controller gets.
     """
 
     subspace: np.ndarray
@@ -43,8 +49,9 @@ class Reach:
 
 
 def reach(velocity: np.ndarray, position: np.ndarray, goal: np.ndarray) -> Reach:
-    """For particles of `velocity` v e^{iφ} (N,) [m/s] at `position` (N,) and `goal` (N,) [m],
-    complex.
+    """Return the reachable set for `velocity` v e^{iφ} (N,) [m/s], `position` and `goal` (N,) [m].
+
+    All are complex.
     """
     wanted = goal - position
     U = best_displacement(velocity, wanted)
@@ -57,11 +64,24 @@ def reach(velocity: np.ndarray, position: np.ndarray, goal: np.ndarray) -> Reach
 
 def opened(swarm: Swarm, limit: float, seconds: float, rng: np.random.Generator,
            samples: int = 400) -> dict[str, np.ndarray]:
-    """How far random commands of `seconds` move particles beyond their shared displacement.
+    """Return how far random commands move particles beyond their shared displacement.
 
-    Of `samples` drawn from `rng`, up to `limit` [T], given to a `swarm`.
-    For each of HANDLES the singular values (2N − 2,) [m], largest first: RMS displacement along
-    the directions that the first-order model says are closed. All zero where it says the truth.
+    Parameters
+    ----------
+    swarm : Swarm
+    limit : float
+        Largest field [T].
+    seconds : float
+        Duration of a command [s].
+    rng : Generator
+    samples : int
+        Number of commands.
+
+    Returns
+    -------
+    dict
+        For each of HANDLES the singular values (2N − 2,) [m], largest first: RMS displacement
+        along the directions closed to the first-order model. All are zero if that model is exact.
     """
     duration, field = _random_commands(swarm, limit, seconds, rng, samples)
     closed = _closed_directions(swarm.velocity)
@@ -80,7 +100,7 @@ def opened(swarm: Swarm, limit: float, seconds: float, rng: np.random.Generator,
 def _random_commands(
     swarm: Swarm, limit: float, seconds: float, rng: np.random.Generator, samples: int,
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Spans (K,) and, for each handle, fields (K, V, 2) that hold for a few alignment times."""
+    """Return spans (K,) and, for each handle, fields (K, V, 2) held for some alignment times."""
     count = int(np.clip(seconds / max(swarm.slowest, seconds / 60), 4, 60))
     angle = rng.uniform(-np.pi, np.pi, (count, samples))
     full = limit * np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -90,17 +110,16 @@ def _random_commands(
 
 
 def _closed_directions(velocity: np.ndarray) -> np.ndarray:
-    """Orthonormal columns (2N, 2N − 2) of the displacements closed to the first-order model."""
+    """Return orthonormal columns (2N, 2N − 2) of displacements closed in first order."""
     subspace = reach(velocity, np.zeros_like(velocity), np.zeros_like(velocity)).subspace
     return np.asarray(np.linalg.svd(subspace)[0][:, 2:])
 
 
 def planned_floor(swarm: Swarm, goal: np.ndarray, limit: float, workspace: Workspace) -> float:
-    """RMS distance [m] from each `goal` (N, 2) [m] that one planned manoeuvre leaves.
+    """Return the RMS distance [m] from each `goal` (N, 2) [m] after one planned manoeuvre.
 
-    Of a `swarm` in a `workspace`, with fields up to `limit` [T].
-
-    Turn, coast, go on together, refined; without noise. What `predictive` starts from.
+    For a `swarm` in a `workspace`, with fields up to `limit` [T]: turn, coast, go on together,
+    refined, without noise. `predictive` starts from this.
     """
     task = Task(goal, limit, workspace, np.empty(0), np.empty(0), 1e-8, 0.0)
     plan = search(swarm, task)

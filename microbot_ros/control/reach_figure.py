@@ -1,4 +1,4 @@
-"""The picture of what particles under one field can reach."""
+"""Figure of the positions that particles can reach under one field."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9')
 
 def draw(path: Path, swarm: Swarm, goal: np.ndarray, found: Reach,
          beyond: dict[str, np.ndarray], planned: float, seconds: float) -> None:
-    """Draw to `path` what a `swarm` can reach together, as `found`, for its `goal` (N, 2) [m].
+    """Save to `path` a figure of the reachable set `found` of a `swarm` with a `goal` (N, 2) [m].
 
-    Also what lag, strength and switching off open in `seconds` (`beyond`, of `opened`), and what
-    the planned manoeuvre leaves (`planned` [m]).
+    It shows what lag, strength and switching off open in `seconds` (`beyond`, from `opened`), and
+    the error after the planned manoeuvre (`planned` [m]).
     """
     figure = Figure(figsize=(10, 4.6), layout='constrained')
     left, right = figure.subplots(1, 2, width_ratios=(1.2, 1))

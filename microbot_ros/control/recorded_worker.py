@@ -1,4 +1,4 @@
-"""Workers that note how their calls ended, and that let them end so again."""
+"""Workers that record how their calls ended, and that repeat such a record."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from microbot_ros.control.deadline_worker import (
 )
 
 IN_TIME, LATE, BUSY, HUNG = 't', 'l', 'b', 'h'
-"""How a call ended: in time; too late, its value unused; not begun while an earlier one went on;
-not begun, and the earlier one left behind."""
+"""Ends of a call: in time; too late, its value unused; not started while an earlier one ran; not
+started, and the earlier one abandoned.
+"""
 
 
 class NotingWorker(DeadlineWorker):
-    """Worker of some `patience` [s] that passes how each call ended, a letter, to `note`."""
+    """Worker with a `patience` [s] that passes the end of each call, a letter, to `note`."""
 
     def __init__(self, patience: float, note: Callable[[str], None]) -> None:
         super().__init__(patience)
@@ -44,7 +45,7 @@ class NotingWorker(DeadlineWorker):
 
 
 class RepeatingWorker(UnhurriedWorker):
-    """Worker, of some `patience` [s], whose calls end as `letter()` says, without a deadline."""
+    """Worker with a `patience` [s] whose calls end as `letter()` says, without a deadline."""
 
     def __init__(self, patience: float, letter: Callable[[], str]) -> None:
         super().__init__(patience)

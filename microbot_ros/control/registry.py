@@ -1,4 +1,4 @@
-"""Finding controllers: entry points of the group `microbot_ros.controllers`, in any package."""
+"""Discovery of controllers: entry points `microbot_ros.controllers` of any package."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _log = logging.getLogger(__name__)
 
 
 class PluginError(Exception):
-    """A controller that was asked for by name can't be had; the message says why."""
+    """A controller requested by name is not available; the message says why."""
 
 
 @functools.cache
 def _installed() -> dict[str, EntryPoint]:
-    """By name; found once, for that reads the metadata of every package of the environment."""
+    """Return the entry points by name, cached because it reads all package metadata."""
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
 def controller_class(name: str) -> type[Controller]:
-    """The class behind one name; PluginError if there is none or it can't be used."""
+    """Return the class of the controller `name`; PluginError if it is missing or unusable."""
     if name not in _installed():
         known = ', '.join(sorted(_installed())) or 'none'
         raise PluginError(f"no controller '{clipped(name)}' is installed; there are: {known}")
@@ -33,9 +33,9 @@ def controller_class(name: str) -> type[Controller]:
 
 
 def controller_classes(required: str | None = None) -> dict[str, type[Controller]]:
-    """Every controller that is installed and works, by name, in alphabetical order.
+    """Return every installed and working controller by name, in alphabetical order.
 
-    One that can't be loaded is logged and left out, unless it is `required`: then PluginError.
+    One that cannot be loaded is logged and omitted, unless it is `required`: then PluginError.
     """
     classes = {} if required is None else {required: controller_class(required)}
     for name, point in _installed().items():

@@ -1,9 +1,11 @@
-"""What any controller must stand: run yours through it in a test of your own package.
+"""Tests that every controller must pass; call it in a test of your own package.
 
     from microbot_ros.control.testkit import exercise
 
     def test_my_controller_keeps_the_contract():
         exercise(MyController)
+
+It needs no rig.
 """
 
 from __future__ import annotations
@@ -40,10 +42,10 @@ VIEW = Workspace(np.array([-144e-6, -108e-6]), np.array([144e-6, 108e-6]))
 
 def controller_input(
     count: int = 3, t: float = 0.0, seed: int = 0, **changes: Any) -> ControllerInput:
-    """A plausible input with `count` particles of which all is known; change what you like.
+    """Return a plausible input with `count` known particles; `changes` replaces its fields.
 
-    `expected` is the measured position, as for a rig without delay; `t` [s] is now, `seed` chooses
-    the particles.
+    `expected` is the measured position, as for a rig without delay; `t` [s] is the present time,
+    `seed` selects the particles.
     """
     rng = np.random.default_rng(seed)
     position = rng.uniform(-60e-6, 60e-6, (count, 2))
@@ -58,13 +60,12 @@ def controller_input(
 
 
 def exercise(kind: type[Controller]) -> None:
-    """AssertionError, saying what is wrong, unless controllers of a `kind` keep the contract.
+    """Raise AssertionError, naming the defect, unless controllers of a `kind` keep the contract.
 
-    It must state version, summary, what it takes and described parameters; act on nothing that it
-    does not take; configure its defaults; and answer
-    each of a series of inputs, common and odd, with a finite command within the limits or
-    with a ControllerError, without changing what it was shown; also after `reset` and when it
-    is activated again.
+    A controller must state version, summary, inputs and described parameters; use no input that it
+    does not take; accept its default parameters; and answer each of a series of inputs, common and
+    odd, with a finite command within the limits or with a ControllerError, without changing the
+    inputs; also after `reset` and a second activation.
     """
     assert kind.interface_version == INTERFACE_VERSION, 'written for another interface version'
     assert kind.summary.strip(), 'has no summary'
@@ -82,9 +83,9 @@ def exercise(kind: type[Controller]) -> None:
 
 
 def _acts_on_nothing_else(kind: type[Controller]) -> None:
-    """AssertionError where answers depend on what the controller says it does not take."""
+    """Raise AssertionError if results depend on inputs that the controller does not take."""
     if not kind.repeatable:
-        return  # not even the same inputs need have the same answers
+        return  # even equal inputs may give different commands
     for what in Input:
         if not kind.accepts(what):
             with_it, without = (_answers(kind, what, given) for given in (True, False))
@@ -92,7 +93,7 @@ def _acts_on_nothing_else(kind: type[Controller]) -> None:
 
 
 def _answers(kind: type[Controller], what: Input, given: bool) -> list[Any]:
-    """What a controller commands for some inputs, with or without one more."""
+    """Return the commands of a controller for some inputs, with or without one more."""
     controller, answers = kind(), list[Any]()
     controller.configure(kind.Parameters())
     for k in range(4):
@@ -107,7 +108,7 @@ def _answers(kind: type[Controller], what: Input, given: bool) -> list[Any]:
 
 
 def odd_inputs() -> Iterator[ControllerInput]:
-    """Inputs that happen on a rig, the dull and the awkward."""
+    """Yield inputs that occur on a rig, common and odd."""
     goals = Goals(np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]]))
     path = np.column_stack((np.linspace(-50e-6, 50e-6, 21), np.zeros(21)))
     nobody = controller_input(0)

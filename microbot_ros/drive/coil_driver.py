@@ -393,7 +393,9 @@ class CoilDriver:
             self._answer_arming(self._refusal())
         if self._last_resort is not None and not self._last_resort.feed():
             self.gate.trip(Reason.INTERNAL, 'the process that watches over this one is gone')
-            self._replace_last_resort()
+            self._write()
+            self._last_resort.abandon()
+            self._start_last_resort()
         for reading in readings:
             self._tell(reading, now)
 
@@ -581,7 +583,7 @@ class CoilDriver:
         self._polled_s = self._sent_s
         self._zero_since_s = self._sent_s
         self._zero_seen_s = self._sent_s if self.amplifier.reads_back else -math.inf
-        self._replace_last_resort()
+        self._start_last_resort()
         self.connected = True
 
     def _disconnect(self) -> None:
@@ -596,8 +598,6 @@ class CoilDriver:
                 self._last_resort.abandon()
             self._last_resort = None
 
-    def _replace_last_resort(self) -> None:
-        if self._last_resort is not None:
-            self._last_resort.dismiss()
+    def _start_last_resort(self) -> None:
         words = self.amplifier.last_words() if self._watched else []
         self._last_resort = LastResort(words) if words else None

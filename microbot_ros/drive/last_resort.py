@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -17,6 +18,9 @@ _SILENCE_S = 0.1
 """How long the driver may be silent: like the watchdogs of devices that have one."""
 _FEED_S = 0.02
 _LEAVE_S = 1.0
+_UNREAD_BYTES = 4096
+"""Heartbeats that a sentinel may leave unread before it counts as gone: 82 s of them. The smallest
+pipe that Linux makes."""
 
 
 class LastResort:
@@ -30,7 +34,9 @@ class LastResort:
             stdin=subprocess.PIPE, pass_fds=[descriptor for descriptor, _ in words],
             start_new_session=True)
         assert self._process.stdin is not None
-        self._feed = self._process.stdin.fileno()
+        self._pipe = self._process.stdin
+        self._feed = self._pipe.fileno()
+        fcntl.fcntl(self._feed, fcntl.F_SETPIPE_SZ, _UNREAD_BYTES)
         os.set_blocking(self._feed, False)  # a sentinel that hangs must not hold up the driver
 
     def feed(self) -> bool:
@@ -44,21 +50,21 @@ class LastResort:
     def dismiss(self) -> None:
         """Let it end without a word: every line that it holds is confirmed to be at zero."""
         self._say(b'q')
-        assert self._process.stdin is not None
-        self._process.stdin.close()
+        self._end()
+
+    def abandon(self) -> None:
+        """Break off its feed, as no zero is confirmed: it zeroes all lines again and again for
+        0.2 s, and ends. Returns at once; a sentinel that hangs is killed.
+        """
+        threading.Thread(target=self._end, daemon=True).start()
+
+    def _end(self) -> None:
+        self._pipe.close()
         try:
             self._process.wait(_LEAVE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-
-    def abandon(self) -> None:
-        """Break off its feed, as no zero is confirmed: it zeroes all lines again and again for
-        0.2 s, and ends. Returns at once.
-        """
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        threading.Thread(target=self._process.wait, daemon=True).start()  # leaves no zombie
 
     def _say(self, word: bytes) -> bool:
         try:

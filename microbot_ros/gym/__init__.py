@@ -1,11 +1,11 @@
-"""A Gymnasium environment on the loop, for those who train controllers.
+"""Gymnasium environment on the loop, for training controllers.
 
     import gymnasium, microbot_ros.gym
 
     env = gymnasium.make('microbot_ros/Steering-v0')
 
-Gymnasium is in the extra `gym`. What the environment shows and takes is in
-`control.policy_task`; a policy trained in it is played at a rig by the controller `policy`.
+Gymnasium is in the extra `gym`. Observations and actions are defined in `control.policy_task`; the
+controller `policy` runs a trained policy on a rig.
 """
 
 try:

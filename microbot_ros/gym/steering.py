@@ -17,28 +17,42 @@ from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 
 class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """Each particle is to have been at its goal once, all driven by one field.
+    """All particles, driven by one field, are each to reach their own goal once.
 
-    What is shown and what an action means is in `control.policy_task`. A step is one frame. An
-    action goes the way of any controller's command: limits, border, slew, allocation, gate; the
-    field of the currents that come out moves the particles of the virtual rig. What is no number
-    makes no current. The loop's model is taken to have learned the particles: v and φ are told,
-    with errors of `worlds.KNOWN_TO` that are drawn for each episode.
+    Observations and actions are defined in `control.policy_task`; a step is one frame. An action
+    takes the path of any controller's command: limits, border, slew, allocation, gate. The field
+    of the resulting currents moves the particles of the virtual rig. The loop's model counts as
+    trained: v and φ are given with errors of `worlds.KNOWN_TO` drawn for each episode. An action
+    that is NaN makes no current.
 
-    The reward is 1 for each goal that is reached and for each 100 µm that a particle has come
-    nearer to a goal still to be reached (shaping by a potential changes no optimal policy: Ng,
-    Harada and Russell, ICML 1999), less 1 spread over the duration. An episode terminates when all
-    goals have been reached. It is truncated when its time is over, when a particle leaves the
-    workspace, and when the gate cuts the currents. `info` has `is_success`, `reached` (how many
-    goals), `t_s` and `reason`: why what flows is not what was asked for.
+    The reward is 1 per goal reached and per 100 µm that a particle comes nearer to a pending goal
+    (potential-based shaping changes no optimal policy: Ng, Harada and Russell, ICML 1999), minus 1
+    spread over the duration. An episode terminates when all goals have been reached. It is
+    truncated when its time is over, when a particle leaves the workspace, and when the gate cuts
+    the currents. `info` has `is_success`, `reached` (number of goals), `t_s` and `reason`: why the
+    field differs from the action.
 
-    `scenario` is a file as for `microbot simulate`, of catalytic particles and langevin physics,
-    whose `controller` gives way to whoever trains; None: 60 s at 30 frames/s. `particles` is how
-    many are drawn for each episode; None: those of the scenario. Goals are the `goals_um` of the
-    scenario's controller, one for each particle, or drawn. Effects of the scenario are hidden in
-    every episode, and those of `randomise` with values drawn from its ranges:
-    `{'uniform_drift': {'wx_um_s': (-1, 1)}}`. With the `render_mode` 'rgb_array', `render` gives
-    the microscope's picture. InputError for a scenario, ValueError for ranges that cannot be.
+    Parameters
+    ----------
+    scenario : str or Path, optional
+        File as for `microbot simulate`, of catalytic particles and langevin physics, whose
+        `controller` is replaced by the actions; None: 60 s at 30 frames/s. Its effects act in
+        every episode. Its `goals_um`, one per particle, are the goals; without them goals are
+        drawn.
+    particles : int or None
+        Number of particles drawn for each episode; None: those of the scenario.
+    randomise : mapping, optional
+        Effects with ranges of their parameters, drawn for each episode:
+        `{'uniform_drift': {'wx_um_s': (-1, 1)}}`.
+    render_mode : str, optional
+        With 'rgb_array', `render` returns the microscope's picture.
+
+    Raises
+    ------
+    InputError
+        For an unusable scenario.
+    ValueError
+        For impossible ranges.
     """
 
     metadata = {'render_modes': ['rgb_array'], 'render_fps': 30}  # noqa: RUF012
@@ -48,7 +62,7 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         randomise: Ranges | None = None, render_mode: str | None = None,
     ) -> None:
         self.worlds = SteeredWorlds(1, scenario, particles, randomise)
-        """The one in which it plays."""
+        """The simulated world."""
         self.observation_space, self.action_space = _spaces(self.worlds)
         rate = self.worlds.scenario.camera.frame_rate_hz
         self.metadata = self.metadata | {'render_fps': rate}
@@ -58,10 +72,10 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode; the same `seed` gives the same one.
+        """Begin an episode; equal `seed` gives equal episodes.
 
-        `options` may hold `goals_um`, (x, y) for each particle, and `effects` as in a scenario.
-        ValueError for those that cannot be.
+        `options` may hold `goals_um`, (x, y) for each particle, and `effects` as in a scenario;
+        ValueError if they are impossible.
         """
         super().reset(seed=seed)
         self.worlds.begin(0, self.np_random, **_options(options, self.worlds))
@@ -71,7 +85,7 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def step(
         self, action: np.ndarray,
     ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One frame by an `action` (2,). ValueError for another shape."""
+        """Advance one frame with an `action` (2,). ValueError for another shape."""
         if np.shape(action) != (2,):
             raise ValueError(f'expected an action (2,); received {np.shape(action)}')
         rewards, successes, cut = _step(
@@ -80,7 +94,7 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
                 self._info())
 
     def render(self) -> np.ndarray | None:
-        """The microscope's picture (H, W, 3) uint8; None unless the mode is 'rgb_array'."""
+        """Return the microscope's picture (H, W, 3) uint8; None unless the mode is 'rgb_array'."""
         if self.render_mode != 'rgb_array':
             return None
         scenario, bodies = self.worlds.scenario, self.worlds.bodies[0]
@@ -96,10 +110,10 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 class SteeringVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-    """`num_envs` = M environments like `SteeringEnv` in one, many times as fast as one by one.
+    """`num_envs` = M environments like `SteeringEnv`, many times faster than one by one.
 
-    `scenario`, `particles` and `randomise` as there. An episode that has ended begins anew at the
-    next step, whose action it does not look at.
+    `scenario`, `particles` and `randomise` as there. A finished episode restarts at the next step,
+    which ignores its action.
     """
 
     metadata = {'render_modes': [], 'autoreset_mode': AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -110,7 +124,7 @@ class SteeringVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> None:
         self.num_envs = num_envs
         self.worlds = SteeredWorlds(num_envs, scenario, particles, randomise)
-        """Those in which it plays."""
+        """The simulated worlds."""
         self.single_observation_space, self.single_action_space = _spaces(self.worlds)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -119,7 +133,7 @@ class SteeringVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in each, with `seed` and `options` as in `SteeringEnv`."""
+        """Begin an episode in each world, with `seed` and `options` as in `SteeringEnv`."""
         super().reset(seed=seed)
         given = _options(options, self.worlds)
         for m in range(self.num_envs):
@@ -130,7 +144,7 @@ class SteeringVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One frame in each, by `actions` (M, 2). ValueError for another shape."""
+        """Advance one frame in each world with `actions` (M, 2). ValueError for another shape."""
         if np.shape(actions) != (self.num_envs, 2):
             raise ValueError(f'expected actions {(self.num_envs, 2)}; received '
                              f'{np.shape(actions)}')
@@ -162,7 +176,7 @@ def _options(options: dict[str, Any] | None, worlds: SteeredWorlds) -> dict[str,
 def _step(
     worlds: SteeredWorlds, which: np.ndarray, actions: np.ndarray, rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rewards, and where all goals have been reached and where else it is over (M,)."""
+    """Return rewards, worlds whose goals are all reached, and other ended worlds (M,)."""
     before = worlds.potential.copy()
     worlds.step(which, actions, rng)
     stepped = np.zeros(len(before), bool)

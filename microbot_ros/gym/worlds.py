@@ -1,4 +1,4 @@
-"""Several simulated worlds at once, each with a goal for every particle and a loop of its own."""
+"""Several simulated worlds at once, each with a goal per particle and its own loop."""
 
 from __future__ import annotations
 
@@ -34,19 +34,22 @@ from microbot_ros.virtual_rig.scenario import EffectSettings, Scenario, read_sce
 from microbot_ros.virtual_rig.simulation import make_bodies, starting_places
 
 SPEEDS = (3.5e-6, 6e-6)
-"""Between these [m/s] lie the speeds of particles that are drawn."""
+"""Choice: range of the speeds of drawn particles [m/s]; the paper's are 3.7 to 5.0 µm/s."""
 KNOWN_TO = 0.02
-"""Standard deviation of what is told of φ [rad], and of a speed as a part of it."""
+"""Choice: standard deviation of the given φ [rad], and relative one of the given speed."""
 WORTH_ONE = 100e-6
-"""Way [m] towards a goal that is worth a reward of 1."""
+"""Choice: progress [m] towards a goal that is worth a reward of 1."""
 STEP = 5e-3
-"""Longest step [s] of the physics. It turns headings exactly, so that longer steps than those of
-`virtual_rig.world` cost little: where the field is turned, 0.01 µm."""
+"""Choice: longest step [s] of the physics.
+
+Headings are integrated exactly, so that steps longer than
+those of `virtual_rig.world` cost little accuracy: 0.01 µm where the field is turned.
+"""
 _APART = 15e-6
-"""Goals that are drawn lie no nearer to each other [m]."""
+"""Choice: least distance of drawn goals [m]."""
 
 Ranges = Mapping[str, Mapping[str, tuple[float, float]]]
-"""Effect → parameter → its lowest and its highest value."""
+"""Effect → parameter → its lowest and highest value."""
 Rows = np.ndarray | slice
 
 _DEFAULT = Scenario.model_validate({
@@ -58,11 +61,11 @@ _DEFAULT = Scenario.model_validate({
 
 
 class SteeredWorlds:
-    """`count` = M worlds of N particles; every one begins and is steered by itself.
+    """`count` = M worlds of N particles, begun and steered independently.
 
-    `scenario`, `particles` and `randomise` as in `steering.SteeringEnv`. A command goes the way of
-    any controller's: limits, border and slew as in the controller manager, then allocation and
-    gate; the amplifier is perfect. InputError for a scenario that cannot be.
+    `scenario`, `particles` and `randomise` as in `steering.SteeringEnv`. A command takes the path
+    of any controller's: limits, border and slew as in the controller manager, then allocation and
+    gate; the amplifier is ideal. Raises InputError for an unusable scenario.
     """
 
     def __init__(self, count: int, scenario: str | Path | None, particles: int | None,
@@ -71,7 +74,7 @@ class SteeredWorlds:
         chosen, listed = (_DEFAULT, _DEFAULT.listed) if scenario is None else read_scenario(
             Path(scenario))
         self.particles = len(listed.ids) if particles is None else particles
-        """How many are in each world."""
+        """Number of particles in each world."""
         self._listed = listed if particles is None else None
         self.scenario = chosen if particles is None else chosen.model_copy(
             update={'particles': ()})
@@ -82,23 +85,23 @@ class SteeredWorlds:
         self._prepare_loop()
         self._camera = self.scenario.camera.camera()
         self.frames = math.floor(self.scenario.duration_s * self._camera.frame_rate) + 1
-        """How many an episode has."""
+        """Number of frames of an episode."""
         shape = (count, self.particles)
         self.bodies = np.empty(shape, BODY)
         """All particles (M, N) of type BODY."""
         self.t, self.frame = np.zeros(count), np.zeros(count, int)
-        """The time [s] and how many frames and commands went before (M,) in each episode."""
+        """Time [s] and number of frames so far (M,) in each episode."""
         self.seen, self.goals = np.zeros((*shape, 2)), np.zeros((*shape, 2))
-        """Where particles were seen last, and their goals (M, N, 2) [m]."""
+        """Last observed positions and goals (M, N, 2) [m]."""
         self.waiting = np.ones(shape, bool)
-        """Whether each (M, N) is still to be at its goal."""
+        """Whether each particle (M, N) still has to reach its goal."""
         self.commanded = np.zeros((count, 2))
-        """The field (M, 2) [T] of the last command."""
+        """Field (M, 2) [T] of the last command."""
         self.reasons = [''] * count
-        """Why what flows is not what was asked for."""
+        """Why the field differs from the action, in each world."""
         self.gates = [Gate(self._gate_limits) for _ in range(count)]
         self.potential = np.zeros(count)
-        """What has been achieved in each (M,): goals reached, less the ways to the others."""
+        """Potential of each world (M,): goals reached minus distances to the others."""
         self._speed_error, self._phi_error = np.ones(shape), np.zeros(shape)  # of what is told
         self._errors = np.zeros((count, self.frames, self.particles, 2))
         self._field = np.zeros((count, self.frames, 1, 2))
@@ -113,7 +116,7 @@ class SteeredWorlds:
             raise InputError(self._source, f"'controller.goals_um': expected {self.particles}, "
                              f'one for each particle; found {len(wanted.goals_um)}')
         self.goals_um = wanted.goals_um
-        """Those of the scenario (N) or none."""
+        """Goals of the scenario (N), or none."""
         self._values = values = ControllerParameters(max_field_mT=wanted.max_field_mT)
         gate = GateParameters(full_field_mT=wanted.max_field_mT)
         self._coils, self._gate_limits = AllocationStage(gate).coils, limits(gate)
@@ -129,10 +132,10 @@ class SteeredWorlds:
 
     def begin(self, m: int, rng: np.random.Generator, goals_um: Any,
               effects: EffectSettings) -> None:
-        """A new episode in world `m`, drawn from `rng`; `goals_um` (N, 2), drawn if empty.
+        """Begin an episode in world `m`, drawn from `rng`; `goals_um` (N, 2) are drawn if empty.
 
-        `effects` as in a scenario take the place of what would be drawn. ValueError for goals or
-        effects that cannot be.
+        `effects`, as in a scenario, replace those that would be drawn. Raises ValueError for
+        impossible goals or effects.
         """
         self.bodies[m] = self._draw_bodies(rng, effects)
         self.goals[m] = self._draw_goals(rng, goals_um)
@@ -171,11 +174,11 @@ class SteeredWorlds:
         return goals
 
     def step(self, which: np.ndarray, actions: np.ndarray, rng: np.random.Generator) -> None:
-        """One frame in the worlds `which` (K,), with an action of `actions` (K, 2) in each.
+        """Advance one frame in the worlds `which` (K,) with `actions` (K, 2).
 
-        `rng` drives all chance. An action that is no number is no field.
+        `rng` is the source of all randomness. An action that is NaN makes no field.
         """
-        # A view of all is taken in a fraction of the time that a copy of some takes.
+        # A view of all worlds is much faster than a copy of some.
         rows = slice(None) if len(which) == len(self.t) else which
         self._command(which, rows, actions)
         wanted = self._allocator.currents(self.commanded[rows])
@@ -194,19 +197,19 @@ class SteeredWorlds:
         self._take_frames(which, rows, rng)
 
     def observation(self) -> np.ndarray:
-        """What a policy is shown of each world (M, 2 + 7 N)."""
+        """Return the observation of each world (M, 2 + 7 N)."""
         speed, phi = self._told(slice(None))
         return observation(self.seen, speed * np.exp(1j * phi), self.goals, self.waiting,
                            self.commanded / self.limits.field, self.workspace)
 
     def cut(self) -> np.ndarray:
-        """Where (M,) the time is over, a particle out of the workspace or the gate at zero."""
+        """Return where (M,) time is over, a particle left the workspace or the gate cut off."""
         lost = ~self.workspace.holds(self.seen).all(axis=1)
         fault = np.array([gate.fault is not None for gate in self.gates])
         return np.asarray(lost | fault | (self.frame + 1 >= self.frames))
 
     def _command(self, which: np.ndarray, rows: Rows, actions: np.ndarray) -> None:
-        """As the controller manager: no more than the limits, kept in view, at the slew."""
+        """Apply limits, border and slew to the actions, as the controller manager does."""
         wanted = wanted_field(actions, self.limits.field)
         for m in which.tolist():
             self.reasons[m] = ''
@@ -222,7 +225,7 @@ class SteeredWorlds:
         self.commanded[rows] += step
 
     def _correct(self, m: int, wanted: np.ndarray, action: np.ndarray) -> None:
-        """Mend what is `wanted` where it is no number, or a particle may leave the view."""
+        """Correct `wanted` where it is NaN or a particle may leave the workspace."""
         if np.isnan(wanted).any():
             wanted[:], self.reasons[m] = 0.0, f'the policy answered {action.tolist()}'
             return
@@ -230,7 +233,7 @@ class SteeredWorlds:
         wanted[:], self.reasons[m] = command.field, command.progress.message
 
     def inputs(self, m: int) -> ControllerInput:
-        """What a controller would be shown of world `m`; it begins with the goals."""
+        """Return a controller's input of world `m`, with the goals of the episode."""
         speed, phi = (told[0] for told in self._told(slice(m, m + 1)))
         known = np.full(self.particles, KNOWN_TO)
         return ControllerInput(
@@ -243,13 +246,13 @@ class SteeredWorlds:
             expected=self.seen[m].copy())
 
     def _told(self, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-        """v [m/s] and φ [rad] (K, N) as the loop's model would have learned them."""
+        """Return v [m/s] and φ [rad] (K, N) as the loop's model would have learned them."""
         body = self.bodies
         speed = body['speed'][rows] * body['fuel'][rows] * self._speed_error[rows]
         return speed, body['phi'][rows] + self._phi_error[rows]
 
     def _advance(self, which: np.ndarray, duration: float, rng: np.random.Generator) -> np.ndarray:
-        """Let time pass; the mean positions (M, N, 2) [m] on the way."""
+        """Let time pass; return the mean positions (M, N, 2) [m] meanwhile."""
         mean = np.zeros_like(self.seen)
         advance_worlds(
             self.bodies, which, self.t, duration, math.ceil(duration / STEP - 1e-9),
@@ -272,7 +275,7 @@ class SteeredWorlds:
 
 
 def _checked(randomise: Ranges) -> Ranges:
-    """The same; ValueError for an effect, a parameter or an end of a range that cannot be."""
+    """Return `randomise`; ValueError for an effect, parameter or range that is impossible."""
     for effect, ranges in randomise.items():
         for end in (0, 1):
             check(effect, {name: ends[end] for name, ends in ranges.items()})

@@ -1,1 +1,1 @@
-"""The loop as one function of a frame: tracker, model, controller, allocation and gate."""
+"""The closed loop as a function of a frame: tracker, model, controller, allocation and gate."""

@@ -1,4 +1,4 @@
-"""Fourth stage: the field → the current of each coil, and back."""
+"""Fourth stage: from a field to the current of each coil, and back."""
 
 from __future__ import annotations
 
@@ -15,51 +15,52 @@ from microbot_ros.drive.rotation import Turning
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 
 _IN_PLANE = 1e-6
-"""A field is in the plane where less than this part of it is not."""
-_UPRIGHT = 1 - 1e-9
+"""Choice: relative out-of-plane part below which a field counts as in the plane."""
+_UPRIGHT = 1 - 1e-9  # choice: |cos| of the tilt above which an axis counts as vertical, 45 µrad
 
 
 @dataclass(frozen=True)
 class GateParameters:
-    """Coils, and what the gate affirms for each of them. All are fixed at start-up."""
+    """Coils, and the limits of the gate for each of them. All are fixed at start-up."""
 
     coils_file: str = setting(
         '', 'YAML file with the coils; empty takes the default rig.', read_only=True)
     full_field_mT: float = setting(
-        5.0, 'Strongest field that will be asked for: limits that do not allow it, or its '
-        'reversal at once, are refused at the start.', lower=0.001, upper=1000.0, read_only=True)
+        5.0, 'Strongest field that will be commanded. Limits that do not allow it, or its '
+        'immediate reversal, are refused at start-up.', lower=0.001, upper=1000.0, read_only=True)
     current_limit_A: float = setting(
         2.0, 'Largest current the gate lets through.', lower=0.001, upper=100.0, read_only=True)
     step_limit_A: float = setting(
-        4.0, 'Largest jump of a current at once.', lower=0.001, upper=200.0, read_only=True)
+        4.0, 'Largest step of a current.', lower=0.001, upper=200.0, read_only=True)
     slew_limit_A_per_s: float = setting(
-        200.0, 'Fastest lasting change of a current.', lower=0.01, upper=1e5, read_only=True)
+        200.0, 'Largest sustained rate of change of a current.', lower=0.01, upper=1e5,
+        read_only=True)
     command_timeout_ms: float = setting(
-        75.0, 'How long a command other than zero holds without the next.', lower=10.0,
+        75.0, 'How long a command other than zero holds without a new one.', lower=10.0,
         upper=2000.0, read_only=True)
     deviation_A: float = setting(
-        0.2, 'How far a measured current may lie from what was commanded.', lower=0.001,
+        0.2, 'Largest deviation of a measured from the commanded current.', lower=0.001,
         upper=10.0, read_only=True)
     settling_ms: float = setting(
-        100.0, 'How long a measured current may take to follow.', lower=1.0, upper=2000.0,
+        100.0, 'Time that a measured current may take to settle.', lower=1.0, upper=2000.0,
         read_only=True)
     feedback_timeout_ms: float = setting(
         200.0, 'How long currents may flow without a measurement.', lower=10.0, upper=5000.0,
         read_only=True)
     rated_current_A: float = setting(
-        1.5, 'Current that a coil bears for ever.', lower=0.001, upper=100.0, read_only=True)
+        1.5, 'Continuous current rating of a coil.', lower=0.001, upper=100.0, read_only=True)
     thermal_s: float = setting(
         60.0, 'Thermal time constant of a coil.', lower=1.0, upper=3600.0, read_only=True)
     idle_disarm_s: float = setting(
-        10.0, 'How long the gate stays armed while nobody commands, be it zero.', lower=0.5,
+        10.0, 'How long the gate stays armed without any command, zero included.', lower=0.5,
         upper=3600.0, read_only=True)
 
 
 class AllocationStage:
-    """The currents that make a field with the coils of the rig.
+    """Conversion from fields to the currents of the rig's coils.
 
-    Raises InputError where `parameters` name a file of coils that cannot be read, and for limits
-    with which the first full field would be a fault.
+    Raises InputError if the coil file of `parameters` cannot be read, and for limits that the
+    first full field would violate.
     """
 
     def __init__(self, parameters: GateParameters) -> None:
@@ -69,10 +70,10 @@ class AllocationStage:
         _refuse_contradictions(parameters, self._allocator)
 
     def step(self, field: np.ndarray) -> np.ndarray:
-        """The currents (N,) [A] of a `field` (2,) or (3,) [T].
+        """Return the currents (N,) [A] for a `field` (2,) or (3,) [T].
 
-        NaN, which the gate latches as a fault, for one that is not finite. ValueError for one
-        with a part along z that the coils can't make.
+        NaN, which the gate latches as a fault, if the field is not finite. Raises ValueError if it
+        has a part along z that the coils cannot make.
         """
         strength = math.hypot(*field.tolist())
         if not strength < math.inf:
@@ -80,11 +81,22 @@ class AllocationStage:
         return self._allocator.cheapest(self._within(field, strength))[0]
 
     def turn(self, field: np.ndarray, angular_velocity: np.ndarray) -> Turning:
-        """The currents of a `field` (3,) [T] that turns with an `angular_velocity` (3,) [rad/s].
+        """Return the currents of a field that rotates about an axis.
 
-        What of the field lies along the axis stays, as the axis of a cone; the rest turns, and
-        where the currents would be too large it is made smaller. ValueError for a field with a
-        part along z that the coils can't make. NaN gives NaN, which the gate latches as a fault.
+        The part of the field along the axis is constant (the field moves on a cone), the rest
+        rotates; if the currents would exceed the limits, the rotating part is reduced. NaN gives
+        NaN, which the gate latches as a fault.
+
+        Parameters
+        ----------
+        field : (3,) array [T]
+            Field at the start of the rotation.
+        angular_velocity : (3,) array [rad/s]
+
+        Raises
+        ------
+        ValueError
+            If the field has a part along z that the coils cannot make.
         """
         if not (np.isfinite(field).all() and np.isfinite(angular_velocity).all()):
             nothing = np.full(3, np.nan)
@@ -99,7 +111,7 @@ class AllocationStage:
         if make.shape[1] < 3 and strength and not abs(axis[2]) > _UPRIGHT:
             raise ValueError('no field along z, in which it would turn, comes from these coils')
         steady = make @ (self._within(along, float(np.linalg.norm(field))) - self.coils.background)
-        # The largest current of a turning field: how much of a coil lies across the axis.
+        # Amplitude of the current of each coil: the length of its row perpendicular to the axis.
         across = per_direction - np.outer(per_direction @ axis, axis)
         largest = np.linalg.norm(across, axis=1)
         room = np.maximum(self.coils.reach - np.abs(steady), 0.0)
@@ -108,8 +120,7 @@ class AllocationStage:
         return Turning(steady, share * per_direction, axis, rate, start, self.coils.driven)
 
     def _within(self, field: np.ndarray, strength: float) -> np.ndarray:
-        """Of a field (2,) or (3,) what the coils have axes for, the rest being as good as nothing
-        beside a `strength`."""
+        """Return the field's components that the coils have; others must be negligible."""
         x, y, z = [*field.tolist(), 0.0][:3]
         if self.coils.axes == 3:
             return np.array([x, y, z])
@@ -119,12 +130,12 @@ class AllocationStage:
         return np.array([x, y])
 
     def field(self, currents: np.ndarray) -> np.ndarray:
-        """The field (2,) or (3,) [T] at the centre of the workspace, of currents (N,) [A]."""
+        """Return the field (2,) or (3,) [T] at the workspace centre for `currents` (N,) [A]."""
         return self._allocator.field(currents)
 
 
 def limits(values: GateParameters) -> Limits:
-    """What the gate affirms, by its parameters (`values`), in SI."""
+    """Return the limits of the gate in SI units from the parameter `values`."""
     return Limits(
         current_A=values.current_limit_A, step_A=values.step_limit_A,
         slew_A_per_s=values.slew_limit_A_per_s,
@@ -136,7 +147,7 @@ def limits(values: GateParameters) -> Limits:
 
 
 def _refuse_contradictions(values: GateParameters, allocator: Allocator) -> None:
-    """InputError for limits with which the first full field would be a fault."""
+    """Raise InputError for limits that the first full field would violate."""
     needed = allocator.largest_current(values.full_field_mT * 1e-3)
     reversal = 2 * needed
     for name, limit, least, what in (

@@ -1,4 +1,4 @@
-"""Third stage: what is known of the particles, goals, a joystick → the field."""
+"""Third stage: from estimates, goals and a joystick to the field."""
 
 from __future__ import annotations
 
@@ -36,42 +36,42 @@ from microbot_ros.model.model import Model
 class ControllerParameters:
     """Parameters of the controller manager; each controller has its own under its name."""
 
-    controller: str = setting('hold', 'The controller that drives; see `~/controllers`.')
-    max_field_mT: float = setting(5.0, 'Strongest field a controller may ask for.', lower=0.0,
+    controller: str = setting('hold', 'The active controller; see `~/controllers`.')
+    max_field_mT: float = setting(5.0, 'Largest field that a controller may command.', lower=0.0,
                                   upper=100.0, read_only=True)
-    slew_mT_per_s: float = setting(1000.0, 'Fastest change of the field.', lower=1.0, upper=1e6,
-                                   read_only=True)
-    max_frequency_hz: float = setting(100.0, 'Fastest rotation of a rolling field.', lower=0.0,
+    slew_mT_per_s: float = setting(1000.0, 'Largest rate of change of the field.', lower=1.0,
+                                   upper=1e6, read_only=True)
+    max_frequency_hz: float = setting(100.0, 'Highest frequency of a rotating field.', lower=0.0,
                                       upper=1000.0, read_only=True)
     pose_timeout_ms: float = setting(
         200.0, 'Age of the poses beyond which nothing is commanded.', lower=10.0, upper=5000.0,
         read_only=True)
     joy_timeout_ms: float = setting(
-        250.0, 'Age of the joystick beyond which it counts as centred; its driver must repeat.',
-        lower=20.0, upper=2000.0, read_only=True)
-    deadline_ms: float = setting(10.0, 'How long a controller may think.', lower=1.0,
+        250.0, 'Age of the joystick message beyond which the stick counts as centred; its driver '
+        'must repeat messages.', lower=20.0, upper=2000.0, read_only=True)
+    deadline_ms: float = setting(10.0, 'Computing time of a controller per frame.', lower=1.0,
                                  upper=1000.0, read_only=True)
     workspace_um: list[float] = setting(
-        [-140.0, -104.0, 140.0, 104.0], 'Left, bottom, right, top of where particles may go.',
+        [-140.0, -104.0, 140.0, 104.0], 'Left, bottom, right and top of the workspace.',
         lower=-1e5, upper=1e5, read_only=True)
     border_s: float = setting(
-        0.5, 'A driven particle that would be out of the workspace within this time turns the '
-        'field; 0: never.', lower=0.0, upper=60.0, read_only=True)
+        0.5, 'If a driven particle would leave the workspace within this time, the field is '
+        'turned; 0: never.', lower=0.0, upper=60.0, read_only=True)
     delay_ms: float = setting(
-        25.0, 'From exposure until a command given now acts; 0 for none.', lower=0.0,
-        upper=2000.0)
-    model_file: str = setting('', 'model.yaml with the effects that controllers may use.')
+        25.0, 'Time from exposure to the effect of the command computed from it; 0 for none.',
+        lower=0.0, upper=2000.0)
+    model_file: str = setting('', 'File model.yaml with the effects that controllers may use.')
 
 
 AT_REST = 0.15
-"""Deflection of a stick, of 1, up to which it is centred: as the dead zone of `teleop`."""
+"""Choice: deflection of a stick (0 to 1) up to which it is centred, the dead zone of `teleop`."""
 
 
 class ControllerStage:
-    """The controller that drives, and what it is told beside the particles.
+    """The active controller and its inputs besides the particles.
 
-    `worker` makes what calls a controller within its deadline. Raises InputError where the
-    controller that `parameters` name cannot be had.
+    `worker` makes the object that calls a controller within its deadline. Raises InputError if the
+    controller named in `parameters` is not available.
     """
 
     def __init__(self, parameters: ControllerParameters,
@@ -94,16 +94,16 @@ class ControllerStage:
         self.begin()
 
     def begin(self) -> None:
-        """Nothing has been seen, said or commanded yet."""
+        """Reset everything seen, received and commanded."""
         self.driving = False
-        """Whether a field may flow by the last command."""
+        """Whether the last command may make a field."""
         self.outcome = Outcome(None, Result.STALE, 'no poses yet')
-        """What came of the last frame."""
+        """Outcome of the last frame."""
         self.armed: bool | None = None
-        """Whether the coil driver is armed; None where there is none that says so."""
+        """Whether the coil driver is armed; None if no driver reports it."""
         self.forget()
         self.joystick_remark = ''
-        """Why a joystick that was deflected counts as centred; '' where none does."""
+        """Why a deflected joystick counts as centred; '' if it does not."""
         self._joystick, self._joystick_t = np.zeros(2), -math.inf
         self._held = False
         self._last_t = -math.inf
@@ -111,16 +111,28 @@ class ControllerStage:
 
     @property
     def unrepeatable(self) -> str:
-        """Why the same inputs need not have the same answers; '' where they do."""
+        """Why equal inputs may give different results; '' if they do not."""
         name = self.manager.active
         return '' if self.classes[name].repeatable else f'{name} thinks for as long as it may'
 
     def configure(self, parameters: ControllerParameters, controllers: Mapping[str, Any],
                   restart: bool = False, seconds: float = CONFIGURING) -> SwitchResult:
-        """Take new parameters, its own and those of the controllers named: all, or none and why.
+        """Apply new parameters, either all of them or none.
 
-        Within `seconds`, see `ControllerManager.change`. `restart` lets the controller that
-        drives begin anew after a fault.
+        Parameters
+        ----------
+        parameters : ControllerParameters
+        controllers : mapping
+            Parameters of controllers, by the name of the controller.
+        restart : bool
+            Whether the active controller restarts after a fault.
+        seconds : float
+            Time limit [s], see `ControllerManager.change`.
+
+        Returns
+        -------
+        SwitchResult
+            With the reason if nothing was changed.
         """
         wanted = parameters.controller
         switch = wanted != self.manager.active or (restart and self.manager.fault)
@@ -130,12 +142,12 @@ class ControllerStage:
         return answer
 
     def forget(self) -> None:
-        """No goals, no path and no plan any more."""
+        """Clear goals, path and plan."""
         self.goals, self.path = Goals(), np.empty((0, 2))
         self.plan: Commands | None = None
 
     def be_armed(self) -> None:
-        """Start from zero: what is given from now on may drive.
+        """Record that the driver is armed, and start from zero field.
 
         A stick that is deflected now counts as centred until it has been centred once.
         """
@@ -144,9 +156,9 @@ class ControllerStage:
         self.let_go()
 
     def be_disarmed(self) -> None:
-        """Forget goals, path and plan that were being carried out: nothing resumes by itself.
+        """Record that the driver is disarmed, and clear goals, path and plan.
 
-        Those that came before the first word of the driver are kept.
+        Nothing resumes by itself. Goals received before the driver's first message are kept.
         """
         if self.armed:
             self.forget()
@@ -160,8 +172,7 @@ class ControllerStage:
         return self.armed is False and bool(given)
 
     def refusal(self, what: Input) -> str:
-        """Why the controller that drives is not given `what`, and which ones take it; '' where it
-        takes it."""
+        """Return why the active controller refuses the input `what`; '' if it does not."""
         name = self.manager.active
         if self.classes[name].accepts(what):
             return ''
@@ -169,20 +180,20 @@ class ControllerStage:
         return f'{name} takes no {what.value}; these do: {", ".join(others) or "none"}'
 
     def go_to(self, goals: Goals) -> None:
-        """New goals, from the next frame on."""
+        """Set new `goals`, from the next frame on."""
         self.goals = goals
         self._begin_anew()
 
     def follow(self, path: np.ndarray) -> None:
-        """A new path (P, 2) [m], from the next frame on."""
+        """Set a new `path` (P, 2) [m], from the next frame on."""
         self.path = path
         self._begin_anew()
 
     def play(self, plan: Commands) -> None:
-        """A new plan on a clock of its own, from the next frame on, for a controller that plays.
+        """Set a new `plan`, from the next frame on, for a controller that plays one.
 
-        ValueError for one that can't be played: its numbers must be finite, its times ascend
-        from 0, and its last row, the end, be after them.
+        Its times are relative and ascend from 0; its last row is the end. Raises ValueError for
+        anything else and for numbers that are not finite.
         """
         turns = np.zeros(1) if plan.frequency is None else plan.frequency
         if not all(np.isfinite(rows).all() for rows in (plan.t, plan.field, turns)):
@@ -193,13 +204,13 @@ class ControllerStage:
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """What came of the places before says nothing of these."""
+        """Drop the outcome: the last command belongs to earlier goals."""
         self.outcome = Outcome(None, Result.STALE, 'no poses since it was told where to go')
 
     def move_joystick(self, axes: np.ndarray, t: float) -> None:
-        """The stick stands at `axes` (2,) at `t` [s]; what is not two finite numbers is centred.
+        """Set the stick to `axes` (2,) at time `t` [s].
 
-        Raises ValueError for such.
+        Raises ValueError, and centres the stick, if `axes` are not two finite numbers.
         """
         self._joystick = np.zeros(2)
         if not (axes.shape == (2,) and np.isfinite(axes).all()):
@@ -210,8 +221,15 @@ class ControllerStage:
         self._held = self._held and bool(np.hypot(*self._joystick) > AT_REST)
 
     def step(self, estimates: np.ndarray, t: float, now: float) -> Outcome:
-        """The command after a frame that was exposed at `t` [s] and whose estimates (N,), of type
-        ESTIMATE, came at `now` [s]; without a command the field is let go.
+        """Return the command for a frame; without a command the field is released.
+
+        Parameters
+        ----------
+        estimates : (N,) array of ESTIMATE
+        t : float
+            Exposure of the frame [s].
+        now : float
+            Arrival of the estimates [s].
         """
         outcome = self.manager.tick(self._input(estimates, t, now))
         if self.joystick_remark:
@@ -222,8 +240,9 @@ class ControllerStage:
         return self.outcome
 
     def expire(self, now: float) -> bool:
-        """Let go where poses that came once stay away at `now` [s], and say for how long they do;
-        whether a field may have flown until now.
+        """Release the field if poses, once received, stay away at `now` [s].
+
+        Returns whether a field may have been on until now.
         """
         age = now - self._last_t
         if math.isinf(age) or abs(age) <= self.parameters.pose_timeout_ms * 1e-3:
@@ -234,7 +253,9 @@ class ControllerStage:
         return drove
 
     def let_go(self) -> bool:
-        """No field is to flow, and the next command starts from there; whether one may have flown.
+        """Switch the field off and let the next command start from zero.
+
+        Returns whether a field may have been on.
         """
         self.manager.let_go()
         drove, self.driving = self.driving, False
@@ -243,10 +264,11 @@ class ControllerStage:
         return drove
 
     def _input(self, estimates: np.ndarray, t: float, now: float) -> ControllerInput:
-        """All at the moment of exposure: the same poses give the same command, live or replayed.
+        """Return the controller's input, all at the time of exposure.
 
-        When they arrive decides only whether they are too old for any. Time goes by from the
-        newest: frames that overtake each other give none, unless the clock was set back.
+        The same poses thus give the same command, live or replayed. Their arrival only decides
+        whether they are too old. Frames that overtake each other do not advance time, unless the
+        clock was set back.
         """
         values = self.parameters
         timeout = values.pose_timeout_ms * 1e-3
@@ -268,14 +290,14 @@ class ControllerStage:
             plan=None if self.armed is False else self.plan)
 
     def _joystick_at(self, t: float) -> np.ndarray:
-        """The stick (2,) at an exposure `t` [s]: centred where it was silent for too long.
+        """Return the stick (2,) at an exposure `t` [s]: centred after too long a silence.
 
-        A frame may be exposed before the stick moved, but no longer than poses may be old.
+        A frame may be exposed before the stick moved, but by no more than the pose timeout.
         """
         values, age = self.parameters, t - self._joystick_t
         self.joystick_remark = ''
         if age > values.joy_timeout_ms * 1e-3:
-            self._held = False  # a stick that is silent counts as centred
+            self._held = False  # a silent stick counts as centred
         if self._held:
             self.joystick_remark = 'the joystick was deflected at arming: centre it'
             return np.zeros(2)
@@ -296,7 +318,7 @@ class ControllerStage:
 
 @cache
 def _warm_up() -> None:
-    """Compile what the first ticks would otherwise wait for."""
+    """Compile the code that the first frames would otherwise wait for."""
     manager, one = ControllerManager({'it': Waypoint()}, 'it', deadline=60.0), np.ones(1)
     workspace = Workspace(np.full(2, -1e-4), np.full(2, 1e-4))
     goals = Goals(np.zeros((1, 2)))

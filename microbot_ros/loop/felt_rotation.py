@@ -1,4 +1,4 @@
-"""What rollers feel of a commanded rotation: all while the coils carry a field, else none."""
+"""Rotation that acts on rollers: the commanded one while the coils carry a field, else none."""
 
 from __future__ import annotations
 
@@ -9,31 +9,47 @@ import numpy as np
 from microbot_ros.estimation.online.commands import NEGLIGIBLE, SET_BACK
 
 Rotation = tuple[float, np.ndarray]
-"""From when [s] on which angular velocity (2,) [rad/s]."""
+"""Start time [s] and angular velocity (2,) [rad/s]."""
 
 
 class FeltRotation:
-    """The last commanded rotation, and whether anything turns.
+    """The last commanded rotation, and whether the coils carry a field.
 
-    A driver refuses commands that come late, and a gate that trips or was never armed lets nothing
-    through, whatever is commanded meanwhile. Where no field was ever read back, the commanded
-    rotation is taken for the one felt.
+    A driver refuses late commands, and a gate that has tripped or was never armed passes nothing,
+    whatever is commanded. Until a field is read back, the commanded rotation counts as acting.
     """
 
     def __init__(self) -> None:
-        self._commanded = np.zeros(2)
+        self._commanded, self._commanded_t = np.zeros(2), -math.inf
         self._flows = True
         self._t = -math.inf
 
-    def command(self, t: float, angular_velocity: np.ndarray) -> Rotation:
-        """What is felt once an angular velocity (2,) [rad/s] is commanded at `t` [s]."""
+    def command(self, t: float, angular_velocity: np.ndarray) -> Rotation | None:
+        """Return the rotation acting once an angular velocity is commanded.
+
+        Parameters
+        ----------
+        t
+            Time of the command [s]. A command from before the newest one is superseded.
+        angular_velocity
+            Angular velocity (2,) [rad/s], zero for a field that stands.
+
+        Returns
+        -------
+        None where a superseded command, or one more field that stands, changes nothing.
+        """
+        superseded = self._commanded_t - SET_BACK < t < self._commanded_t
+        if superseded or not (angular_velocity.any() or self._commanded.any()):
+            return None
         self._commanded = angular_velocity
+        if math.isfinite(t):
+            self._commanded_t = t
         return self._felt(t)
 
     def applied(self, t: float, field: np.ndarray) -> Rotation | None:
-        """What is felt once a field (3,) [T] is read back at `t` [s]; None for no change.
+        """Return the rotation once a `field` (3,) [T] is read at `t` [s]; None if unchanged.
 
-        A reading that is not finite says nothing.
+        A reading that is not finite is ignored.
         """
         size = math.hypot(*field)
         flows = size >= NEGLIGIBLE
@@ -43,8 +59,8 @@ class FeltRotation:
         return self._felt(t)
 
     def _felt(self, t: float) -> Rotation:
-        # Commands are stamped with the exposure they answer, readings with their own moment: the
-        # two interleave, and what is felt goes forward; unless a replay begins again.
+        # Commands carry the time of the exposure they answer, readings their own, so the two
+        # interleave. Time must not go back here, unless a replay starts again.
         if math.isfinite(t):
             t = self._t = t if t < self._t - SET_BACK else max(self._t, t)
         return t, self._commanded if self._flows else np.zeros(2)

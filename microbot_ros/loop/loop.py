@@ -23,10 +23,9 @@ from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 
 @dataclass(frozen=True)
 class LoopParameters:
-    """What its parts are configured with.
+    """Parameters of the stages of the loop.
 
-    `controllers` holds the parameters of each controller by its name, where they are not the
-    default ones.
+    `controllers` holds the parameters of controllers by name, if they differ from the defaults.
     """
 
     tracker: TrackerParameters = dataclasses.field(default_factory=TrackerParameters)
@@ -38,13 +37,24 @@ class LoopParameters:
 
 @dataclass(frozen=True)
 class LoopStep:
-    """What one frame gives.
+    """Result of one frame.
 
-    `t` [s] is its exposure; `particles` (N,) of type PARTICLE are those in it, `estimates` (M,)
-    of type ESTIMATE what is known of them and of those that have just gone out of sight. `field`
-    (2,) or (3,) [T] is what the controller asks for, `angular_velocity` (3,) [rad/s] that of a
-    field that turns, `currents` (N,) [A] what the gate affirms of it at `t`, and `reasons` why
-    that may be less.
+    Attributes
+    ----------
+    t : float
+        Exposure of the frame [s].
+    particles : (N,) array of PARTICLE
+        Particles in the frame.
+    estimates : (M,) array of ESTIMATE
+        Estimates of these and of particles that have just been lost.
+    field : (2,) or (3,) array [T]
+        Field that the controller commands.
+    angular_velocity : (3,) array [rad/s]
+        Rotation of that field.
+    currents : (N,) array [A]
+        Currents that the gate passes at `t`.
+    reasons : tuple of str
+        Why the currents may make less than the field.
     """
 
     t: float
@@ -59,12 +69,10 @@ class LoopStep:
 class Loop:
     """Tracker, model, controller manager, allocation and gate as one function of a frame.
 
-    For as many coils, N, as the rig has, in two or three axes, and for fields that turn: their
-    currents between two frames are those of `sample`.
-
-    It has no thread and no clock: times come with what it is given, and controllers are called
-    without a deadline. The same frames, measurements and goals give the same currents to the last
-    bit. Raises InputError for parameters that contradict each other.
+    It works for any number of coils N, with two or three axes, and for rotating fields: `sample`
+    gives their currents between two frames. It has no thread and no clock: times are arguments,
+    and controllers have no deadline. Equal frames, measurements and goals give equal currents to
+    the last bit. Raises InputError for contradictory `parameters`.
     """
 
     def __init__(self, parameters: LoopParameters) -> None:
@@ -80,23 +88,22 @@ class Loop:
         self.gate = Gate(limits(parameters.gate), len(self.allocation.coils.names))
         self._rotation = Rotation(self.gate.limits.slew_A_per_s)
         self._felt = FeltRotation()
-        self._turned = False
         self._given_t = -math.inf
 
     @property
     def tracker(self) -> TrackerStage:
-        """The first stage, made when it is first needed."""
+        """The first stage, created on first use."""
         if self._tracker is None:
             self._tracker = TrackerStage(self._parameters.tracker)
         return self._tracker
 
     def arm(self, t: float) -> None:
-        """Let currents flow from `t` [s] on. Raises RuntimeError with the gate's reason."""
+        """Arm the gate at `t` [s]. Raises RuntimeError with the gate's reason if it refuses."""
         if refusal := self.gate.arm(t):
             raise RuntimeError(refusal)
 
     def measured(self, currents: np.ndarray, t: float) -> np.ndarray:
-        """Take in the currents (N,) [A] that the amplifier reads back at `t` [s].
+        """Process the `currents` (N,) [A] that the amplifier reads back at `t` [s].
 
         Returns the field (2,) or (3,) [T] that they make.
         """
@@ -122,16 +129,14 @@ class Loop:
         return np.array(self.gate.output)
 
     def step(self, image: np.ndarray, t: float) -> LoopStep:
-        """Take an `image` (H, W) that was exposed at `t` [s].
+        """Process an `image` (H, W) that was exposed at `t` [s].
 
-        Raises FrameError for one that cannot be used: nothing is commanded then.
+        Raises FrameError for an unusable image; nothing is commanded then.
         """
         return self.steer(self.tracker.step(image, t), t)
 
     def steer(self, particles: np.ndarray, t: float) -> LoopStep:
-        """Take particles (N,) of type PARTICLE, seen at `t` [s], as a tracker of one's own gives
-        them.
-        """
+        """Process `particles` (N,) of type PARTICLE from another tracker, seen at `t` [s]."""
         estimates = self.model.step(particles, t)
         outcome = self.controller.step(estimates, t, t)
         if outcome.command is None:
@@ -146,13 +151,14 @@ class Loop:
         return self._parameters.model.propulsion == 'rolling'
 
     def _command(self, field: np.ndarray, angular_velocity: np.ndarray, t: float) -> str:
-        """Give a field at `t` [s], turning where it is to; why the coils can't make it, or ''."""
-        turns = bool(angular_velocity.any())
-        if self._rolls and (turns or self._turned):
-            self._tell_rotation(*self._felt.command(t, angular_velocity[:2]))
-        self._turned = turns
+        """Command a field at `t` [s], rotating or not.
+
+        Return why the coils cannot make it, or ''.
+        """
+        if self._rolls and (changed := self._felt.command(t, angular_velocity[:2])):
+            self._tell_rotation(*changed)
         try:
-            if turns and field.any():
+            if angular_velocity.any() and field.any():
                 wanted = self.allocation.turn(np.array([*field, 0.0][:3]), angular_velocity)
                 self._rotation.follow(wanted, t, np.array(self.gate.output))
                 self._given_t = t

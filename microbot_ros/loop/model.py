@@ -1,4 +1,4 @@
-"""Second stage: particles and the field → speed, offset angle and force of each."""
+"""Second stage: from particles and the field to speed, offset angle and force of each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from microbot_ros.estimation.online.estimator import Estimates, Estimator, Setti
 from microbot_ros.loop.points import ESTIMATE, numbers
 
 _EARLY = 256
-"""Commands kept until the first frame."""
+"""Choice: commands kept until the first frame; older ones are dropped."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class ModelParameters:
     temperature_K: float = setting(298.0, 'Temperature of the fluid.', lower=250.0, upper=400.0,
                                    read_only=True)
     height_um: float = setting(
-        0.0, 'Height of the centres above the floor, more than radius_um; 0 is far from any, or '
-        'not known.', lower=0.0, upper=1e5, read_only=True)
+        0.0, 'Height of the centres above the floor, more than radius_um; 0: far from any floor, '
+        'or unknown.', lower=0.0, upper=1e5, read_only=True)
     reference_field_mT: float = setting(5.0, 'Field at which alignment times are stated.',
                                         lower=1e-3, upper=1000.0, read_only=True)
     exposure_ms: float = setting(0.0, 'Exposure time of a frame.', lower=0.0, upper=1000.0,
@@ -41,14 +41,14 @@ class ModelParameters:
     horizon_s: float = setting(0.5, 'How far ahead to predict.', lower=0.0, upper=60.0,
                                read_only=True)
     model_file: str = setting(
-        '', 'model.yaml with the effects to filter with; empty is the first-order model. A file '
+        '', 'File model.yaml with the effects of the filter; empty: the first-order model. A file '
         'that cannot be used is refused and the present model kept.')
 
 
 class ModelStage:
-    """What is known of every particle after each frame.
+    """Filter that estimates the state of every particle after each frame.
 
-    It begins with the first-order model of `parameters`; `use` gives it their model file.
+    It starts with the first-order model of `parameters`; `use` loads a model file.
     """
 
     def __init__(self, parameters: ModelParameters) -> None:
@@ -59,12 +59,12 @@ class ModelStage:
         self._origin: float | None = None
         self._early: deque[tuple[float, np.ndarray, float | None]] = deque(maxlen=_EARLY)
         self.estimates: Estimates | None = None
-        """What was found in the last frame."""
+        """Estimates after the last frame."""
 
     def use(self, model_file: str) -> None:
-        """Filter with a `model_file` from the next frame on; '' is the first-order model.
+        """Filter with `model_file` from the next frame on; '' is the first-order model.
 
-        Raises InputError for one that cannot be used, and the present model stays.
+        Raises InputError for a file that cannot be used, and the present model stays.
         """
         if model_file == self._model_file:
             return
@@ -75,18 +75,19 @@ class ModelStage:
         self._model_file = model_file
 
     def field(self, t: float, field: np.ndarray) -> None:
-        """A field (2,) [T] in force from `t` [s] on."""
+        """Take a `field` (2,) [T] that acts from `t` [s] on."""
         self._command(t, field, None)
 
     def rotation(self, t: float, angular_velocity: np.ndarray) -> None:
-        """From `t` [s] on rollers roll along ω̂ × ẑ, for an angular velocity (2,) [rad/s]."""
+        """Let rollers move along ω̂ × ẑ from `t` [s], `angular_velocity` (2,) [rad/s]."""
         x, y = angular_velocity
         rate = math.hypot(x, y)
         self._command(t, np.array([y, -x]) / (rate or 1.0), rate / math.tau)
 
     def step(self, particles: np.ndarray, t: float) -> np.ndarray:
-        """What is known (N,), of type ESTIMATE, after particles of type PARTICLE in a frame that
-        was exposed at `t` [s].
+        """Return the estimates (N,) of type ESTIMATE after a frame exposed at `t` [s].
+
+        `particles` are those seen in it, of type PARTICLE.
         """
         rows = numbers(particles)
         self.estimates = found = self.estimator.update(
@@ -100,7 +101,10 @@ class ModelStage:
             self._take_commands(self._origin)
 
     def _exposed(self, t: float) -> float:
-        """Seconds since the first frame: effects such as fuel decay count from the start."""
+        """Return seconds since the first frame.
+
+        Effects such as fuel decay count from the start.
+        """
         if self._origin is None:
             self._origin = t
             self._take_commands(t)
@@ -124,7 +128,7 @@ def _estimator(values: ModelParameters) -> Estimator:
 
 @cache
 def _warm_up() -> None:
-    """Compile what the first frames would otherwise wait for."""
+    """Compile the code that the first frames would otherwise wait for."""
     estimator = _estimator(ModelParameters())
     for frame in range(200):
         t = frame / 50

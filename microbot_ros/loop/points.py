@@ -1,7 +1,7 @@
-"""What one stage of the loop hands to the next: rows of single-precision numbers.
+"""Data types between the stages of the loop: rows of single-precision numbers.
 
-On the topics lie the same bytes, so that the loop gives the same commands to the last bit whether
-its stages run in one process or in four, live or from a recording.
+Topics carry the same bytes, so that the loop gives the same commands to the last bit in one
+process or in four, live or replayed.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ PARTICLE = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('vx', '<f4'), ('vy', '<f4'),
     ('sigma', '<f4'),
 ])
-"""A particle as seen in one frame, a point of `particles`: SI, `theta` and velocity NaN where they
-are not known."""
+"""Particle seen in one frame, a point of `particles`. SI units; `theta` and velocity are NaN if
+unknown.
+"""
 
 ESTIMATE = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('speed', '<f4'), ('phi', '<f4'),
@@ -21,27 +22,29 @@ ESTIMATE = np.dtype([
     ('phi_std', '<f4'), ('force_std', '<f4'), ('x_ahead', '<f4'), ('y_ahead', '<f4'),
     ('ahead_std', '<f4'), ('theta', '<f4'),
 ])
-"""What is known of a particle, a point of `model/state`: SI; NaN for what is not known yet.
-`*_ahead`: a horizon later. `theta` is the heading that the tracker saw in that frame."""
+"""Estimated state of a particle, a point of `model/state`.
+
+SI units, NaN if not yet known. `*_ahead` is one prediction horizon later, `theta` the heading
+measured in the frame.
+"""
 
 GOAL = np.dtype([('id', '<u4'), ('x', '<f4'), ('y', '<f4')])
-"""Where one particle is to go [m], a point of `particle_goals`."""
+"""Goal of one particle [m], a point of `particle_goals`."""
 
 PLACE = np.dtype([('x', '<f4'), ('y', '<f4')])
-"""Where to go [m], whoever goes there: a point of `controller/goals` where goals have no ids."""
+"""Goal for any particle [m], a point of `controller/goals` if goals have no ids."""
 
 
 def numbers(points: np.ndarray) -> np.ndarray:
-    """All of `points` (N,), of one of these types, but their ids: (F, N) double precision, a row
-    for each field.
-    """
+    """Return all fields but `id` of `points` (N,) in double precision, (F, N), a row per field."""
     rows = np.ascontiguousarray(points).view('<f4').reshape(-1, points.itemsize // 4)
     return rows.T[1:].astype(float, order='C')
 
 
 def particles_at(ids: np.ndarray, position: np.ndarray, sigma: float) -> np.ndarray:
-    """Particles (N,) of type PARTICLE of which only `position` (N, 2) [m] is known, and `sigma`
-    [m], its standard deviation per axis; `ids` (N,).
+    """Return particles (N,) of type PARTICLE with known `ids` (N,) and `position` (N, 2) [m] only.
+
+    `sigma` [m] is the standard deviation of each coordinate.
     """
     points = np.zeros(len(ids), PARTICLE)
     points['id'], points['sigma'] = ids, sigma

@@ -1,4 +1,4 @@
-"""First stage: frames and the field → particles in the workspace."""
+"""First stage: from frames and the field to particles in the workspace."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from microbot_ros.tracking.locate.colour import Weights
 from microbot_ros.tracking.teach import teacher
 
 _HELD, _HELD_EVERY = 40, 0.1
-"""Frames that can be pointed into, and the least time [s] between them."""
+"""Choice: frames kept for teaching, and the least time [s] between them (4 s in all)."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ class TrackerParameters:
         read_only=True)
     mirrored: bool = setting(False, 'The optics mirror the picture.', read_only=True)
     settings_file: str = setting(
-        '', 'YAML file with settings of the detection; empty chooses them from the first frames.',
+        '', 'YAML file with detection settings; empty: they are chosen from the first frames.',
         read_only=True)
 
 
 class TrackerStage:
-    """Positions, headings and identities of the particles, from one frame after the other.
+    """Positions, headings and identities of the particles, frame by frame.
 
-    Raises InputError where `parameters` name a settings file that cannot be read.
+    Raises InputError if the settings file of `parameters` cannot be read.
     """
 
     def __init__(self, parameters: TrackerParameters) -> None:
@@ -64,36 +64,36 @@ class TrackerStage:
         self._previous = 0.0
         self._held: deque[tuple[float, np.ndarray]] = deque(maxlen=_HELD)
         self.poses: Poses | None = None
-        """What was seen in the last frame, in its pixels."""
+        """Poses found in the last frame, in its pixels."""
         self.frames = self.refused = 0
         self.longest_gap = 0.0
-        """Longest time [s] between two frames since somebody set this to 0."""
+        """Longest time [s] between two frames since this was last set to 0."""
 
     @property
     def ready(self) -> bool:
-        """Whether it knows what particles look like."""
+        """Whether the appearance of the particles is known."""
         return self._tracker.ready
 
     @property
     def remarks(self) -> str:
-        """What is wrong with the picture, in words; '' where nothing is."""
+        """Sentences about problems of the picture; '' if there are none."""
         return '; '.join(together(self._tracker.remarks.values()))
 
     def field(self, t: float, field: np.ndarray) -> None:
-        """From `t` [s] on swimmers turn with a field (2,) [T]; without one they go on."""
+        """Let swimmers turn to a `field` (2,) [T] from `t` [s]; zero turns nothing."""
         size = math.hypot(*field)
         if size >= NEGLIGIBLE:
             self._drive.command(t, field / size)
 
     def rotation(self, t: float, angular_velocity: np.ndarray) -> None:
-        """From `t` [s] on rollers roll along ω̂ × ẑ, for an angular velocity (2,) [rad/s]."""
+        """Let rollers move along ω̂ × ẑ from `t` [s], `angular_velocity` (2,) [rad/s]."""
         x, y = angular_velocity
         self._drive.command(t, np.array([y, -x]) / math.tau)
 
     def step(self, image: np.ndarray, t: float) -> np.ndarray:
-        """The particles (N,) of type PARTICLE in an `image` (H, W), exposed at `t` [s].
+        """Return the particles (N,) of type PARTICLE in an `image` (H, W), exposed at `t` [s].
 
-        Raises FrameError for a picture that cannot be used; nothing has changed then.
+        Raises FrameError for an unusable image, which changes nothing.
         """
         if self._camera is None:
             self._camera = self._calibration(image)
@@ -114,40 +114,60 @@ class TrackerStage:
 
     @property
     def colour(self) -> Weights | None:
-        """The weights of red, green and blue by which frames are to be seen; None: brightness."""
+        """Weights of red, green and blue for the conversion to grey; None: brightness."""
         return self._tracker.settings.colour
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Names of the kinds that it was taught, as of the last frame."""
+        """Names of the taught kinds of particles, as of the last frame."""
         return tuple(kind.name for kind in self._tracker.settings.kinds)
 
     def teach(self, like: bool, x: float, y: float, kind: str | None = None,
               stamp: float | None = None) -> str:
-        """Learn from an example and return in a sentence what was learned.
+        """Learn from an example in a frame, from the next frame on.
 
-        The example is at (x, y) [px] in the frame of a `stamp` [s], or in the newest frame. It is
-        `like` what to follow, of a `kind`, or unlike it. The next frame is seen so. Raises
-        InputError if nothing can be learned from it; nothing has changed then. Frames may be
-        processed meanwhile in another thread.
+        Another thread may process frames meanwhile.
+
+        Parameters
+        ----------
+        like : bool
+            Whether to follow such objects or to ignore them.
+        x, y : float
+            Position of the example [px].
+        kind : str, optional
+            Kind of the example, if it is to be followed.
+        stamp : float, optional
+            Exposure of the frame [s]; by default the newest frame.
+
+        Returns
+        -------
+        str
+            What was learned, in a sentence.
+
+        Raises
+        ------
+        InputError
+            If nothing can be learned from the example; nothing has changed then.
         """
         learn = teacher.like if like else teacher.unlike
         settings, said = learn(self._wanted, self._frame_at(stamp), x, y, kind)
         if like:
-            # Somebody who points at what was left out wants it followed.
+            # A taught place is no longer masked.
             settings = settings.model_copy(update={'standing': tuple(
                 place for place in settings.standing if not place.holds(x, y))})
         self._wanted, more = self._masked(settings, x, y)
         return said + more
 
     def forget(self, kind: str | None = None) -> str:
-        """Forget what was taught of a `kind`, or of all, and say so; InputError if there is none.
+        """Forget what was taught about a `kind`, or about all, and return a sentence on it.
+
+        Raises InputError if there is nothing to forget.
         """
         self._wanted, said = teacher.forget(self._wanted, kind)
         return said
 
     def pixel_at(self, x: float, y: float) -> tuple[float, float]:
-        """The pixel (x, y) of a place (x, y) [m]; InputError before the first frame."""
+        """Return the pixel (x, y) of a place (`x`, `y`) [m]; InputError before the first frame."""
         if self._camera is None:
             raise InputError('teach', 'expected a frame to point into: none has come yet')
         column, row = self._camera.pixels(np.array([x, y]))
@@ -156,9 +176,7 @@ class TrackerStage:
     def _masked(
         self, settings: TrackerSettings, x: float, y: float
     ) -> tuple[TrackerSettings, str]:
-        """The `settings` with what is burnt in masked, unless it is at (x, y) [px]; and what is
-        to be said of it.
-        """
+        """Return settings that mask burnt-in overlays, but none at (x, y), and a message."""
         held = [image for _, image in list(self._held)[-LEAST_FRAMES:]]
         places = tuple(place for place in burnt_in(held, settings.kinds)
                        if not place.holds(x, y)
@@ -171,9 +189,9 @@ class TrackerStage:
                 f'; left out as burnt into the picture: what is at {where}')
 
     def with_kinds(self, particles: np.ndarray) -> np.ndarray:
-        """The `particles` (N,) of the last frame with a field `kind`, where kinds were taught.
+        """Return the last frame's `particles` (N,) with a field `kind`, an index into `kinds`.
 
-        It is the number of the name in `kinds`.
+        Without taught kinds they are returned unchanged.
         """
         if not self.kinds or self.poses is None:
             return particles
@@ -184,14 +202,14 @@ class TrackerStage:
         return wide
 
     def _hold(self, image: np.ndarray, t: float) -> None:
-        """Keep a frame now and then: people point at what they saw a moment ago."""
+        """Keep a frame now and then, because users point at what they saw a moment ago."""
         self._newest = t, image
         if not (self._held and 0 <= t - self._held[-1][0] < _HELD_EVERY):
             self._held.append((t, image.copy()))
 
     def _frame_at(self, stamp: float | None) -> np.ndarray:
-        """The frame of a `stamp` [s], or the nearest that is held; None: the newest."""
-        held = list(self._held)  # frames may come meanwhile
+        """Return the frame of a `stamp` [s] or the nearest one kept; None: the newest."""
+        held = list(self._held)  # a copy: another thread may add frames
         if not held:
             raise InputError('teach', 'expected a frame to point into: none has come yet')
         last, newest = self._newest

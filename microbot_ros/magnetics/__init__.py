@@ -1,4 +1,4 @@
-"""Coil geometry, Biot–Savart, field and gradient maps, currents from a wanted field."""
+"""Coil geometry, Biot–Savart fields, field maps, and coil currents for a wanted field."""
 
 from microbot_ros.magnetics.allocation import Allocation, Allocator
 from microbot_ros.magnetics.coils import CoilSet

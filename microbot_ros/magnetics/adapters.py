@@ -1,4 +1,4 @@
-"""Coils that others describe: magpylib's sources, and what packages bring by entry point."""
+"""Coils described outside this package: magpylib sources and entry points of other packages."""
 
 from __future__ import annotations
 
@@ -13,15 +13,26 @@ from microbot_ros.common.plugins import installed
 from microbot_ros.magnetics.sources import Source, as_points
 
 GROUP = 'microbot_ros.coils'
-"""Entry points of coils: each a `Source`, or a source or collection of magpylib's under 1 A."""
+"""Entry-point group of coils: each entry is a `Source`, or a magpylib object that carries 1 A."""
 
 
 class MagpylibSource:
-    """A source or collection of magpylib's, as it stands under 1 A in the coil.
+    """Field per ampere of a magpylib source or collection that carries 1 A.
 
-    `source`: what `magpylib.getB` takes. The gradient is its central difference of fourth order
-    over `step` [m], good to about (step/distance)⁴. InputError where magpylib is not installed,
-    and for a step that is not positive.
+    The gradient is a central difference of fourth order; its relative error is about
+    (step/distance)⁴.
+
+    Parameters
+    ----------
+    source : magpylib source or collection
+        Whatever `magpylib.getB` accepts.
+    step : float
+        Step of the difference [m].
+
+    Raises
+    ------
+    InputError
+        If magpylib is not installed or `step` is not positive and finite.
     """
 
     def __init__(self, source: Any, step: float = 1e-4) -> None:
@@ -35,12 +46,12 @@ class MagpylibSource:
         self._field, self._source, self._step = magpylib.getB, source, step
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Field [T/A] at points (M, 3) [m]: (M, 3)."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3)."""
         points = as_points(points)
         return np.reshape(self._field(self._source, points, sumup=True), points.shape)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3)."""
         points = as_points(points)
         shifts = self._step * np.multiply.outer((-2, -1, 1, 2), np.eye(3))
         near = self.field_per_ampere((points + shifts[:, :, None]).reshape(-1, 3))
@@ -48,14 +59,14 @@ class MagpylibSource:
         return np.einsum('s,sjmi->mij', weights, near.reshape(4, 3, len(points), 3))
 
     def margin(self, point: np.ndarray) -> float:
-        """Infinite at every `point`: magpylib does not say where its wires are."""
+        """Return infinity for every `point`: magpylib does not report where its wires are."""
         return math.inf
 
 
 def installed_source(name: str) -> Source:
-    """The coil that a package brings under this name in the group `microbot_ros.coils`.
+    """Load the coil with this name from the entry-point group `microbot_ros.coils`.
 
-    InputError where there is none, or where it does not load.
+    Raises InputError if no package provides it or it cannot be loaded.
     """
     found = installed(GROUP, 'source', name)
     return found if hasattr(found, 'field_per_ampere') else MagpylibSource(found)

@@ -1,18 +1,18 @@
-"""Coil currents for a wanted field: least power, exact limits, direction first.
+"""Coil currents for a wanted field: least power within exact limits, direction before magnitude.
 
-N currents make two or three components of field, A I + background = wanted, and what is spare goes
-to the least heat Σ R I², or, where asked, to cancelling the gradient first. Limits |Iₖ| ≤ Lₖ are
-met exactly, not by scaling or clipping:
+N currents make two or three field components, A I + background = wanted. The remaining freedom
+minimises the heat Σ R I², or first the gradient if that is requested. The limits |Iₖ| ≤ Lₖ are met
+exactly, without scaling or clipping:
 
-* What the coils can reach is the zonotope {A I : |Iₖ| ≤ Lₖ}. Each of its faces is spanned by
-  columns of A, one fewer than there are components. The largest field along a direction is where
-  a ray leaves it: the smallest of some quotients, which is the solution of the linear programme.
-* The least-power currents of a field inside are those without limits, I₀, and a mixture Z y of
-  spare currents. With Z orthonormal in the heat, the least heat is the shortest y with
-  |I₀ + Z y| ≤ L, a small quadratic programme (`within.py`).
+* The reachable fields are the zonotope {A I : |Iₖ| ≤ Lₖ}. Each of its faces is spanned by columns
+  of A, one fewer than there are components. The largest field along a direction is where a ray
+  leaves the zonotope: the smallest of a few quotients, which solves the linear programme.
+* The least-power currents of a field inside are the unlimited ones, I₀, plus a mixture Z y of
+  currents that make no field. With Z orthonormal in the heat, the least heat is the shortest y
+  with |I₀ + Z y| ≤ L, a small quadratic programme (`allocation_kernels.py`).
 
-`Allocator.actuate` makes a field and a pull together, the force on a unit moment that lies along
-the field: rows for the pull join those of A, and what is spare after them goes to the least heat.
+`Allocator.actuate` makes a field and a pull together (the force on a unit moment along the field):
+the rows of the pull join those of A, and the freedom that remains minimises the heat.
 """
 
 from __future__ import annotations
@@ -29,21 +29,28 @@ from numpy.typing import ArrayLike
 from microbot_ros.common.errors import InputError
 from microbot_ros.magnetics.coils import CoilSet
 
-# With the gradient to cancel, a gradient weighs this much more than the heat, both measured in
-# their largest singular value: what can be cancelled is, to 1e-8 of what it was.
+# Choice: weight of the gradient over the heat, both scaled by their largest singular value. The
+# gradient that can be cancelled falls to the square of the inverse, 1e-8 of its value.
 _GRADIENT_WEIGHT = 1e4
-# A direction in which the coils make less than this part of what they make in their best one is a
-# direction that they can't make.
+# Choice: a direction with less than this part of the field of the best direction counts as one
+# that the coils cannot make; rounding is around 1e-12.
 _SINGULAR = 1e-6
-_ROUNDING = 1e-12
-_ALL_ROUND = 2000  # directions on the sphere: 2.5° apart
+_ROUNDING = 1e-12  # a few thousand units of rounding of a double
+_ALL_ROUND = 2000  # choice: directions on the sphere, 2.5° apart
 
 
 class Allocation(NamedTuple):
-    """Currents (N,) [A], the field (axes,) [T] they make with the background, the heat.
+    """Currents for a wanted field, and what they make.
 
-    `power` is the heat [W]. `saturated`: the limits did not allow the wanted magnitude; the
-    direction is kept.
+    Attributes
+    ----------
+    currents : (N,) array [A]
+    field : (axes,) array [T]
+        Field at the point, background included.
+    power : float
+        Heat in the windings [W].
+    saturated : bool
+        Whether the limits reduced the magnitude of the field; its direction is kept.
     """
 
     currents: np.ndarray
@@ -53,10 +60,18 @@ class Allocation(NamedTuple):
 
 
 class Actuation(NamedTuple):
-    """Currents (N,) [A], the field (axes,) [T] and the pull (axes,) [T/m] they make, the heat.
+    """Currents for a wanted field and pull, and what they make.
 
-    `power` is the heat [W]. `saturated`: the limits did not allow both; they are made smaller by
-    the same part.
+    Attributes
+    ----------
+    currents : (N,) array [A]
+    field : (axes,) array [T]
+        Field at the point, background included.
+    pull : (axes,) array [T/m]
+    power : float
+        Heat in the windings [W].
+    saturated : bool
+        Whether the limits reduced field and pull, both by the same factor.
     """
 
     currents: np.ndarray
@@ -67,12 +82,23 @@ class Actuation(NamedTuple):
 
 
 class Allocator:
-    """Currents from wanted fields at one point (3,) [m] of the workspace.
+    """Coil currents for wanted fields at one point of the workspace.
 
-    Fields have the components of `coils.axes`; where these are three, a field of two lies in the
-    plane. `cancel_gradient`: the gradient counts before the heat, along the same axes. InputError
-    where the coils can't make every direction of field at the point, naming the one, where a wire
-    is at the point, or where they can't cancel the background within their limits.
+    Fields have the components of `coils.axes`. With three axes, a field of two components lies in
+    the plane.
+
+    Parameters
+    ----------
+    coils : CoilSet
+    point : (3,) array [m]
+    cancel_gradient : bool
+        Minimise the gradient along the same axes before the heat.
+
+    Raises
+    ------
+    InputError
+        If the coils cannot make every field direction at the point (the message names the
+        direction), a wire lies at the point, or the background exceeds what the coils can cancel.
     """
 
     def __init__(
@@ -81,7 +107,7 @@ class Allocator:
         from microbot_ros.magnetics.allocation_kernels import within_limits
         axes = coils.axes
         self.matrix = coils.actuation_matrix(point)[:axes]
-        """Field at the point per (effective) ampere (axes, N) [T/A]."""
+        """Field at the point per (effective) ampere, (axes, N) [T/A]."""
         self._coils, self._background, self._limits = coils, coils.background, coils.reach
         self._point = np.reshape(np.asarray(point, dtype=float), (1, -1))
         _refuse_singular(self.matrix, point)
@@ -107,21 +133,22 @@ class Allocator:
 
     @property
     def linear(self) -> np.ndarray:
-        """The cheapest currents without limits (N, axes) [A/T], per field made."""
+        """Least-power currents per tesla without limits, (N, axes) [A/T]."""
         return self._unlimited
 
     def allocate(self, wanted: ArrayLike) -> Allocation:
-        """The cheapest currents for a field (axes,) [T], or for the most of it that can be had.
+        """Return the least-power currents for the field `wanted` (axes,) [T].
 
-        A zero field cancels the background. ValueError for NaN or infinity: nothing to drive.
+        If the limits do not allow the magnitude, the largest field in its direction is made. A
+        zero field cancels the background. Raises ValueError for NaN and infinity.
         """
         currents, saturated = self.cheapest(np.asarray(wanted, dtype=float))
         return Allocation(currents, self.field(currents), self._coils.power(currents), saturated)
 
     def cheapest(self, wanted: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Of what `allocate` gives for a field (axes,) [T], the currents (N,) [A] and `saturated`.
+        """Return the currents (N,) [A] and `saturated` of `allocate` for a field (axes,) [T].
 
-        ValueError as there.
+        Raises ValueError for NaN and infinity.
         """
         wanted = self._components(wanted)
         magnitude = math.hypot(*wanted.tolist())
@@ -137,9 +164,9 @@ class Allocator:
         return self._coils.driven(self._within(start, self._spare, self._limits)), saturated
 
     def currents(self, wanted: np.ndarray) -> np.ndarray:
-        """The currents (K, N) [A] that `allocate` gives for each field `wanted` (K, axes) [T].
+        """Return the currents (K, N) [A] of `allocate` for each field `wanted` (K, axes) [T].
 
-        ValueError as there.
+        Raises ValueError for NaN and infinity.
         """
         wanted = self._components(wanted)
         found = (wanted - self._background) @ self._unlimited.T
@@ -150,17 +177,28 @@ class Allocator:
         return np.asarray(found)
 
     def field(self, currents: np.ndarray) -> np.ndarray:
-        """The field (axes,) [T] at the point, background included, of currents (N,) [A]."""
+        """Return the field (axes,) [T] at the point for `currents` (N,) [A], with background."""
         return np.asarray(self.matrix @ self._coils.effective(currents) + self._background)
 
     def actuate(self, field: ArrayLike, pull: ArrayLike) -> Actuation:
-        """The cheapest currents for a field (axes,) [T] and a pull (axes,) [T/m] together.
+        """Return the least-power currents that make a field and a pull together.
 
-        The pull is (b·∇)B with b along the field: the force over the moment of a particle whose
-        moment has turned into the field (Kummer et al., IEEE Transactions on Robotics 26, 1006
-        (2010)). Where the limits don't allow both, they are made smaller by the same part.
-        InputError for a pull that the coils can't make under that field, naming the direction they
-        lack; ValueError for NaN or infinity, and for a zero field, along which no moment lies.
+        The pull is (b·∇)B with b the direction of the field: the force per moment on a particle
+        whose moment is aligned with the field (Kummer et al., IEEE Transactions on Robotics 26,
+        1006 (2010)). If the limits do not allow both, they are reduced by the same factor.
+
+        Parameters
+        ----------
+        field : (axes,) array [T]
+        pull : (axes,) array [T/m]
+
+        Raises
+        ------
+        InputError
+            If the coils cannot make the pull under that field; the message names the missing
+            direction.
+        ValueError
+            For NaN and infinity, and for a zero field, along which no moment lies.
         """
         field = self._components(np.asarray(field, dtype=float))
         pull = self._components(np.asarray(pull, dtype=float))
@@ -182,18 +220,16 @@ class Allocator:
                          self._coils.power(driven), part < 1)
 
     def largest(self, direction: ArrayLike) -> float:
-        """The largest field [T] within the limits along a direction (axes,) of any length.
+        """Return the largest field [T] within the limits along `direction` (axes,), of any length.
 
-        ValueError for a zero direction, NaN or infinity.
+        Raises ValueError for a zero direction, NaN and infinity.
         """
         across = self._normals @ _unit(self._components(np.asarray(direction, dtype=float)))
         outward = across > 0
         return float((self._reach[outward] / across[outward]).min())
 
     def largest_current(self, magnitude: float) -> float:
-        """The largest current [A] that any coil needs for a field of `magnitude` [T] turned all
-        round.
-        """
+        """Return the largest coil current [A] for a field of `magnitude` [T] in any direction."""
         angles = np.radians(np.arange(360.0))
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         if self._coils.axes == 3:
@@ -201,7 +237,7 @@ class Allocator:
         return float(np.abs(self.currents(magnitude * around)).max())
 
     def _components(self, vector: np.ndarray) -> np.ndarray:
-        """Vectors (..., 2) or (..., axes) as they are, or with a zero where they have no third."""
+        """Return vectors (..., 2 or axes) with `axes` components; a missing third is 0."""
         axes = self._coils.axes
         if vector.shape[-1:] == (axes,):
             return vector
@@ -210,10 +246,7 @@ class Allocator:
         raise ValueError(f'expected {axes} components; received {vector}')
 
     def _largest_part(self, wanted: np.ndarray, rows: np.ndarray) -> float:
-        """The largest part, up to 1, of field and pull (2 axes,) that is within the limits.
-
-        `rows` (axes, N): the pull per ampere.
-        """
+        """Return the largest factor ≤ 1 that brings field and pull (2 axes,) within the limits."""
         from scipy.optimize import linprog
         matrix = np.vstack([self.matrix, rows])
         scale = 1 / np.abs(matrix).max(axis=1, keepdims=True)
@@ -229,14 +262,14 @@ class Allocator:
 
     @cached_property
     def _gradient(self) -> np.ndarray:
-        """∂Bᵢ/∂xⱼ at the point, along the axes of field, per ampere (axes, axes, N) [T/m/A]."""
+        """Gradient ∂Bᵢ/∂xⱼ at the point per ampere, (axes, axes, N) [T/m/A]."""
         gradient = self._coils.gradient_per_ampere(self._point)[:, 0]
         axes = self._coils.axes
         return np.moveaxis(gradient[:, :axes, :axes], 0, -1)
 
     @cached_property
     def _together(self) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]]:
-        """`together` with these coils; the gradient has j first, so that b @ it is (b·∇)B."""
+        """`together` with these coils bound; its gradient has j first: b @ it is (b·∇)B."""
         from microbot_ros.magnetics.allocation_kernels import together
         axes = self._coils.axes
         along = np.ascontiguousarray(np.swapaxes(self._gradient, 0, 1)).reshape(axes, -1)
@@ -245,12 +278,12 @@ class Allocator:
 
     @cached_property
     def _steepest(self) -> float:
-        """About the largest gradient [T/m] that the spare currents make within their limits."""
+        """Rough largest gradient [T/m] that the field-free currents make within their limits."""
         return float(np.linalg.norm(self._gradient @ self._spare))
 
 
 def _refuse_singular(matrix: np.ndarray, point: ArrayLike) -> None:
-    """InputError where coils with this `matrix` (axes, N) can't make a direction of field."""
+    """Raise InputError if coils with this `matrix` (axes, N) lack a direction of the field."""
     axes, count = matrix.shape
     if not np.isfinite(matrix).all():
         raise InputError('coils', f'expected coils for every field direction at {point!r} m; '
@@ -264,17 +297,17 @@ def _refuse_singular(matrix: np.ndarray, point: ArrayLike) -> None:
 
 
 def _normals(columns: np.ndarray) -> np.ndarray:
-    """Unit vectors (F, d) across every choice of d − 1 of the columns (d, N).
+    """Return unit vectors (F, d) perpendicular to every choice of d − 1 of the columns (d, N).
 
-    Of columns that are in line, one of the vectors across them: no face lies there, but what
-    bounds the zonotope along it is true all the same.
+    For collinear columns this is one of several perpendicular vectors. No face lies there, but the
+    bound on the zonotope along it still holds.
     """
     choices = list(combinations(range(columns.shape[1]), len(columns) - 1))
     return np.linalg.svd(columns.T[choices])[2][:, -1]
 
 
 def _in_words(direction: np.ndarray) -> str:
-    """A direction for people: its axis, where it lies along one, and its unit vector."""
+    """Format a direction: its axis, if it lies along one, and its unit vector."""
     unit = direction / np.linalg.norm(direction)
     main = int((np.abs(unit) > 0.999 * np.abs(unit).max()).argmax())  # of equal ones the first
     unit = unit * np.sign(unit[main]) + 0.0
@@ -283,7 +316,7 @@ def _in_words(direction: np.ndarray) -> str:
 
 
 def _all_round() -> np.ndarray:
-    """Unit vectors (K, 3) spread evenly over the sphere, along Fibonacci's spiral."""
+    """Return unit vectors (K, 3) spread evenly over the sphere (Fibonacci spiral)."""
     step = np.arange(_ALL_ROUND) + 0.5
     z, angle = 1 - 2 * step / _ALL_ROUND, np.pi * (1 + math.sqrt(5)) * step
     radius = np.sqrt(1 - z * z)

@@ -1,11 +1,11 @@
-"""The arithmetic of the allocator, compiled: currents for a field and a pull, and within limits.
+"""Compiled arithmetic of the allocator: currents for a field and a pull, within the limits.
 
-Thirty small steps of NumPy take longer than a period of control leaves for them.
+It is compiled because thirty small NumPy calls take longer than a control period allows.
 
 The least power within the limits of the coils is a small quadratic programme, solved exactly by
 the dual method of Goldfarb and Idnani (Mathematical Programming 27, 1 (1983)): start at the
-optimum without limits, add the most violated limit, drop limits that no longer bind, until none
-is violated. The heat rises with every step, so the loop ends.
+unlimited optimum, add the most violated limit, drop limits that no longer bind, until none is
+violated. The heat rises with every step, so the loop ends.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 
 from microbot_ros.common.compiled import numba
 
-# Beyond a limit by less than this part of it is at the limit, to rounding.
+# Relative excess over a limit that counts as rounding.
 _AT = 1e-13
-# A limit whose direction lies in those already held, but for this part, can't be held beside them.
+# Choice: a limit is linearly dependent on the active ones if less than this part of it is new.
 _DEPENDENT = 1e-9
 
 
@@ -26,8 +26,7 @@ _DEPENDENT = 1e-9
 def _most_violated(
     currents: np.ndarray, limits: np.ndarray, skipped: np.ndarray,
 ) -> tuple[int, float]:
-    """The coil that is furthest beyond its limit and not skipped, and its sign; -1: there is none.
-    """
+    """Return the coil furthest beyond its limit that is not skipped, or −1, and its sign."""
     worst, coil = _AT, -1
     for k in range(len(currents)):
         excess = abs(currents[k]) / limits[k] - 1
@@ -38,7 +37,7 @@ def _most_violated(
 
 @numba.njit(cache=True)
 def _let_go(prices: np.ndarray, rates: np.ndarray, count: int) -> tuple[int, float]:
-    """Which of the held limits is the first to lose its price, and after what step; -1: none."""
+    """Return the first active limit whose multiplier reaches zero, or −1, and the step."""
     step, first = math.inf, -1
     for j in range(count):
         if rates[j] > 0 and prices[j] / rates[j] < step:
@@ -48,9 +47,9 @@ def _let_go(prices: np.ndarray, rates: np.ndarray, count: int) -> tuple[int, flo
 
 @numba.njit(cache=True)
 def _split(vector: np.ndarray, basis: np.ndarray, count: int, parts: np.ndarray) -> None:
-    """Write a vector's `parts` along the first rows of an orthonormal basis; leave the rest in it.
+    """Write a vector's components along the first rows of a basis; leave the remainder in it.
 
-    Twice, so that the rest is orthogonal to rounding (Kahan).
+    Done twice, so that the remainder is orthogonal to rounding (Kahan).
     """
     parts[:count] = 0
     for _ in range(2):
@@ -77,7 +76,7 @@ def _decompose(normals: np.ndarray, count: int, basis: np.ndarray, triangle: np.
 @numba.njit(cache=True)
 def _shortest(normals: np.ndarray, bounds: np.ndarray, count: int, basis: np.ndarray,
               triangle: np.ndarray) -> np.ndarray:
-    """The shortest mixture at all the held limits, without what the steps' rounding piled up."""
+    """Return the shortest mixture at all active limits, free of the rounding of earlier steps."""
     _decompose(normals, count, basis, triangle)
     mixture, parts = np.zeros(basis.shape[1]), np.zeros(count)
     for j in range(count):
@@ -88,19 +87,25 @@ def _shortest(normals: np.ndarray, bounds: np.ndarray, count: int, basis: np.nda
 
 @numba.njit(cache=True)
 def within_limits(currents: np.ndarray, spare: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """The cheapest currents (N,) [A] that lie within their limits (N,) [A].
+    """Return the least-power currents (N,) [A] within their limits.
 
-    `currents` (N,) are the cheapest without limits; what may be added are mixtures of the columns
-    of `spare` (N, S), orthonormal in the heat. Between them, some currents lie within the limits,
-    to rounding: what is left beyond is cut off.
+    Some combination of the inputs must lie within the limits; an excess of rounding is cut off.
+
+    Parameters
+    ----------
+    currents : (N,) array [A]
+        Least-power currents without limits.
+    spare : (N, S) array
+        Directions that may be added, orthonormal in the heat.
+    limits : (N,) array [A]
     """
     count, width = spare.shape
-    held = np.zeros(count, np.int64)  # coils at their limits, in the order of the next four
+    held = np.zeros(count, np.int64)  # coils at their limits, in the order of the arrays below
     normals, bounds, prices = np.zeros((count, width)), np.zeros(count), np.zeros(count)
     basis, triangle = np.zeros((count, width)), np.zeros((count, count))
     rates, mixture = np.zeros(count), np.zeros(width)
     skipped, number = np.zeros(count, np.bool_), 0
-    for _ in range(4 * count):  # each once, seldom twice: rounding does not make it endless
+    for _ in range(4 * count):  # each coil once, seldom twice; bounded in spite of rounding
         coil, sign = _most_violated(currents + spare @ mixture, limits, skipped)
         if coil < 0:
             break
@@ -144,21 +149,35 @@ def together(
     field: np.ndarray, pull: np.ndarray, background: np.ndarray, unlimited: np.ndarray,
     spare: np.ndarray, along: np.ndarray, least: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The cheapest currents (N,) [A] for a field (axes,) [T] and a pull (axes,) [T/m], unlimited.
+    """Return the least-power currents for a field and a pull, without limits.
 
-    Currents are `unlimited` (N, axes) @ (field − background), the cheapest for the field, and a
-    mixture of the columns of `spare` (N, S), orthonormal in the heat, which make no field. With
-    `along` (axes, axes N), b @ along are the rows of the pull per ampere. Directions of the pull
-    whose singular value over the spare currents is below `least` are not made.
+    They are `unlimited` @ (field − background) plus a mixture of the columns of `spare`.
 
-    Returns the currents, the rows (axes, N), what is still spare (N, ·), the directions (·, axes)
-    that are not made, and how much of the pull [T/m] lies along each of them.
+    Parameters
+    ----------
+    field : (axes,) array [T]
+    pull : (axes,) array [T/m]
+    background : (axes,) array [T]
+    unlimited : (N, axes) array [A/T]
+        Least-power currents per tesla.
+    spare : (N, S) array
+        Currents that make no field, orthonormal in the heat.
+    along : (axes, axes N) array [T/m/A]
+        Gradient such that b @ along holds the rows of the pull per ampere.
+    least : float
+        Directions of the pull with a singular value over `spare` below this are not made.
+
+    Returns
+    -------
+    tuple of arrays
+        Currents (N,) [A], rows of the pull (axes, N), remaining spare directions (N, ·),
+        directions (·, axes) that are not made, and the pull [T/m] missing along each of them.
     """
     axes, count = len(field), len(unlimited)
     rows = (field / math.sqrt(np.sum(field * field)) @ along).reshape(axes, count)
     left, size, right = np.linalg.svd(rows @ spare, full_matrices=True)
     rank = int(np.sum(size > least))
-    # Transposed views aside, so that every product is of whole arrays.
+    # Copies instead of transposed views: products of contiguous arrays are faster.
     directions, mixtures = np.ascontiguousarray(left.T), np.ascontiguousarray(right.T)
     currents = unlimited @ (field - background)
     gap = directions @ (pull - rows @ currents)

@@ -1,9 +1,9 @@
-"""Gain and sign of each coil, and the background, from gaussmeter readings or from tracks.
+"""Gain and sign of each coil and the background field, from gaussmeter readings or from tracks.
 
-Every reading is B = b + Σₖ gₖ Iₖ cₖ(p), with cₖ the field per ampere of coil k's geometry at the
-probe's place p. It is linear in the signed gains gₖ and the background b: one least-squares fit.
-The background includes the zero offset of the probe. Tracks tell less: of pairs of opposite
-coils, no coil by itself (`with_coil_map`).
+Every reading is B = b + Σₖ gₖ Iₖ cₖ(p), with cₖ the field per ampere of the geometry of coil k at
+the probe position p. It is linear in the signed gains gₖ and the background b, so one
+least-squares fit finds them. The background includes the zero offset of the probe. Tracks
+determine only pairs of opposite coils, not single coils (`with_coil_map`).
 """
 
 from __future__ import annotations
@@ -23,24 +23,30 @@ from microbot_ros.magnetics.coils import CoilSet
 from microbot_ros.magnetics.settings import CoilSettings, Vector, Winding
 from microbot_ros.magnetics.table import read_table
 
-# A fit is believed when it leaves less than this part of the readings' variation unexplained (a
-# few percent is what probe placement costs), and when it is clean or no swap of columns leaves so
-# many times less.
+# Choices: the largest unexplained part of the variation of the readings that is accepted (probe
+# placement costs a few percent); the part below which no swapped columns are looked for; and the
+# factor by which a swap must be better to be reported.
 _BELIEVED = 0.2
 _CLEAN = 0.01
 _MUCH_BETTER = 3
-_SINGULAR = 1e6
-# Coils are known better than to this factor; what is beyond is dead, or in other units.
+_SINGULAR = 1e6  # choice: condition number above which the readings do not separate the coils
+# Choice: gains beyond this factor mean a dead coil or other units; geometry is known better.
 _PLAUSIBLE = 3
-# Of so few columns every swap of four is tried; of more that would take minutes.
+# Choice: up to this many columns every swap of four is tried; for more it would take minutes.
 _FEW = 8
 
 
 @dataclass(frozen=True)
 class Readings:
-    """M readings of a probe: `currents` (M, N) [A], `points` (M, 3) [m], `field` (M, 3) [T].
+    """M readings of a probe.
 
-    `field` has NaN in the z column where the probe did not measure it.
+    Attributes
+    ----------
+    currents : (M, N) array [A]
+    points : (M, 3) array [m]
+        Position of the probe.
+    field : (M, 3) array [T]
+        NaN in the z column if the probe did not measure it.
     """
 
     currents: np.ndarray
@@ -50,10 +56,17 @@ class Readings:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the readings say of the rig, by the `names` of the coils.
+    """Gains and background that readings give for a rig.
 
-    Signed `gain` (N,) with `gain_std`, `background` (axes,) [T] with `background_std`; `residuals`
-    (M, 3) [T] as `Readings.field`.
+    Attributes
+    ----------
+    names : tuple of str
+        The N coils.
+    gain, gain_std : (N,) array
+        Signed gain and its standard deviation.
+    background, background_std : (axes,) array [T]
+    residuals : (M, 3) array [T]
+        Measured minus fitted field, NaN where `Readings.field` is.
     """
 
     names: tuple[str, ...]
@@ -64,7 +77,7 @@ class Calibration:
     residuals: np.ndarray
 
     def summary(self) -> dict[str, Any]:
-        """The numbers as people read them: gain, sign and background with their std, residual."""
+        """Return gains, signs and background with standard deviations, and the residual."""
         return {
             'coils': {
                 name: {'gain': abs(gain), 'gain_std': std, 'sign': 1 if gain > 0 else -1}
@@ -77,7 +90,7 @@ class Calibration:
         }
 
     def applied_to(self, settings: CoilSettings) -> CoilSettings:
-        """The same coils with these gains, signs and this background."""
+        """Return `settings` with these gains, signs and background."""
         summary = self.summary()
         windings = tuple(
             winding.model_copy(update={key: summary['coils'][winding.name][key]
@@ -89,11 +102,12 @@ class Calibration:
 
 
 def read_readings(path: str | Path, settings: CoilSettings) -> Readings:
-    """Readings from a CSV file: `bx_mT,by_mT`, a column `<coil>_A` for each of the coils.
+    """Read probe readings from a CSV file.
 
-    Optional are `bz_mT`, except for coils that make a field along z, and the probe's place `x_mm`,
-    `y_mm`, `z_mm`, else the workspace centre.
-    The order of the columns is free. InputError naming file, line and column for anything else.
+    Needed are `bx_mT`, `by_mT` and a column `<coil>_A` for each coil of `settings`; `bz_mT` too if
+    the coils make a field along z. Optional are `bz_mT` otherwise, and the position of the probe
+    `x_mm`, `y_mm`, `z_mm` (default: the workspace centre). The order of the columns of `path` is
+    free. Raises InputError naming file, line and column for anything else.
     """
     currents = [f'{winding.name}_A' for winding in settings.windings]
     needed, optional = ['bx_mT', 'by_mT', *currents], ['bz_mT', 'x_mm', 'y_mm', 'z_mm']
@@ -112,10 +126,21 @@ def read_readings(path: str | Path, settings: CoilSettings) -> Readings:
 
 
 def calibrate(readings: Readings, settings: CoilSettings, source: str | Path) -> Calibration:
-    """Fit gains, signs and background of the coils in `settings`, whose own gains don't count.
+    """Fit gains, signs and background to readings.
 
-    InputError naming `source` where the readings can't tell the coils apart, where columns look
-    swapped, where a coil makes no field, or where the geometry does not explain them.
+    Parameters
+    ----------
+    readings : Readings
+    settings : CoilSettings
+        Geometry of the coils; its gains and signs are ignored.
+    source : str or Path
+        Origin of the readings, for messages.
+
+    Raises
+    ------
+    InputError
+        If the readings cannot separate the coils, columns look swapped, a coil makes no field, or
+        the geometry does not explain the readings.
     """
     plain = [winding.model_copy(update={'gain': 1.0, 'sign': 1}) for winding in settings.windings]
     coils = CoilSet(settings.model_copy(update={'windings': tuple(plain)}))
@@ -138,9 +163,9 @@ def calibrate(readings: Readings, settings: CoilSettings, source: str | Path) ->
 
 
 def _fit(readings: Readings, coils: CoilSet) -> tuple[Calibration, float] | None:
-    """The least-squares fit and the part of the readings' variation that it leaves unexplained.
+    """Return the least-squares fit and the part of the variation that it leaves unexplained.
 
-    None where the readings do not determine every gain and the background.
+    None if the readings do not determine every gain and the background.
     """
     axes = np.flatnonzero(np.isfinite(readings.field).all(axis=0))
     field = readings.field[:, axes]
@@ -168,7 +193,7 @@ def _fit(readings: Readings, coils: CoilSet) -> tuple[Calibration, float] | None
 
 
 def _swap(readings: Readings, coils: CoilSet, unexplained: float) -> str:
-    """The simplest swap of columns that explains the readings much better; '' if there is none."""
+    """Return the simplest swap of columns that explains the readings much better, or ''."""
     fits: list[tuple[float, list[str]]] = []
     for order, axes in product(_orders(len(coils.names)), ((0, 1, 2), (1, 0, 2))):
         swapped = Readings(readings.currents[:, order], readings.points, readings.field[:, axes])
@@ -186,8 +211,7 @@ def _swap(readings: Readings, coils: CoilSet, unexplained: float) -> str:
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:
-    """Every order of so many columns in which at most four, of many at most two, are not in place.
-    """
+    """Yield the orders of the columns that move at most four of few, or two of many."""
     moved = min(count, 4) if count <= _FEW else 2
     for places in combinations(range(count), moved):
         for order in permutations(places):
@@ -197,10 +221,25 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
 
 def with_coil_map(settings: CoilSettings, gain_ratio: float, skew: float, matrix: np.ndarray,
                offset: np.ndarray) -> CoilSettings:
-    """Coils that make B = `matrix` (2, 2) B_cmd + `offset` (2,) [T] of the currents that the coils
-    in `settings` need for B_cmd: the y pair stronger by `gain_ratio` and turned about the
-    workspace centre by `skew` [rad] towards +x. Coils along z stay. Raises InputError where there
-    are no such pairs, and where the y pair is none of wires.
+    """Return coils that reproduce a measured map from commanded to actual field.
+
+    For the currents that the coils of `settings` need for B_cmd, the returned coils make
+    B = matrix B_cmd + offset. Coils along z stay as they are.
+
+    Parameters
+    ----------
+    settings : CoilSettings
+    gain_ratio : float
+        Strength of the y pair over that of the x pair.
+    skew : float
+        Rotation of the y pair about the workspace centre towards +x [rad].
+    matrix : (2, 2) array
+    offset : (2,) array [T]
+
+    Raises
+    ------
+    InputError
+        If there are not two coils along x and two along y, or the y pair is not made of wire.
     """
     coils = CoilSet(settings)
     along = np.abs(coils.actuation_matrix()).argmax(axis=0)
@@ -213,7 +252,7 @@ def with_coil_map(settings: CoilSettings, gain_ratio: float, skew: float, matrix
     windings = tuple(
         _turned(winding, -skew).model_copy(update={'gain': winding.gain * gain_ratio})
         if y else winding for winding, y in zip(settings.windings, of_y, strict=True))
-    # Currents were chosen for what was wanted less the background that the file knew.
+    # The currents were computed for the wanted field minus the background of `settings`.
     known, above = settings.background_mT[:2], settings.background_mT[2:]
     background = 1e3 * (offset + matrix @ (1e-3 * np.array(known)))
     return settings.model_copy(update={
@@ -221,7 +260,7 @@ def with_coil_map(settings: CoilSettings, gain_ratio: float, skew: float, matrix
 
 
 def _turned(winding: Winding, angle: float) -> Winding:
-    """The coil turned about the z axis of the workspace."""
+    """Return the winding rotated about the z axis of the workspace."""
     def turn(vector: Vector) -> Vector:
         x, y, z = vector
         cosine, sine = math.cos(angle), math.sin(angle)

@@ -1,4 +1,4 @@
-"""The rig's coils: field and gradient of any set of currents."""
+"""Field and gradient of all coils of a rig for given currents."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from numpy.typing import ArrayLike
 from microbot_ros.magnetics.settings import CoilSettings
 from microbot_ros.magnetics.sources import as_points
 
-# Coils whose weakest direction of field, all at their limits, is below this part of their
-# strongest are not meant for three axes: four coils in a plane, not placed perfectly, reach 0.1.
+# Choice: coils count as three-axis above this ratio of their weakest to their strongest field
+# direction, all at their limits. Four imperfectly placed coils in a plane reach 0.1.
 _MEANT = 0.2
 
 
 class CoilSet:
-    """N coils from settings, in SI; arrays over coils are in the order of `names`.
+    """N coils in SI units; arrays over coils are in the order of `names`.
 
-    Points are (M, 3) [m] in the workspace frame, or (M, 2) in its plane z = 0. Fields are those
-    of the currents alone; `background` is not in them. On a wire they are NaN. Coils whose core
-    saturates make the field of an `effective` current; per ampere means per effective ampere.
+    Points are (M, 3) [m] in the workspace frame, or (M, 2) in the plane z = 0. Fields are those of
+    the currents alone, without `background`, and NaN on a wire. A coil with a saturating core
+    makes the field of an `effective` current; "per ampere" means per effective ampere. `settings`
+    defaults to four coils in a plane.
     """
 
     def __init__(self, settings: CoilSettings | None = None) -> None:
@@ -28,9 +29,9 @@ class CoilSet:
         windings = settings.windings
         self.names = tuple(winding.name for winding in windings)
         self.resistance = np.array([winding.resistance_ohm for winding in windings])
-        """(N,) [Ω]."""
+        """Resistance of each coil (N,) [Ω]."""
         self.max_current = np.array([winding.max_current_A for winding in windings])
-        """(N,) [A], either way."""
+        """Current limit of each coil in either direction (N,) [A]."""
         self._sources = [winding.made_by() for winding in windings]
         self._curves = {k: winding.curve() for k, winding in enumerate(windings)
                         if winding.saturation is not None}
@@ -40,7 +41,7 @@ class CoilSet:
 
     @cached_property
     def axes(self) -> int:
-        """Components of the field that the coils are for: 2 for x and y, 3 for z too."""
+        """Number of field components that the coils can command: 2 (x, y) or 3 (with z)."""
         if self._asked:
             return len(self._asked)
         strength = np.linalg.svd(self.actuation_matrix() * self.reach, compute_uv=False)
@@ -48,29 +49,29 @@ class CoilSet:
 
     @cached_property
     def background(self) -> np.ndarray:
-        """Field (axes,) [T] that is there without current."""
+        """Field (axes,) [T] without any current."""
         return np.append(self._background, 0.0)[:self.axes]
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Field of each coil [T/A]: (N, M, 3)."""
+        """Return the field of each coil [T/A] at `points` (M, 3) [m], shape (N, M, 3)."""
         points = as_points(points)
         return np.stack([source.field_per_ampere(points) for source in self._sources])
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Gradient of each coil, `[..., i, j]` = ∂Bᵢ/∂xⱼ [T/m/A]: (N, M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] of each coil at `points` (M, 3) [m], shape (N, M, 3, 3)."""
         points = as_points(points)
         return np.stack([source.gradient_per_ampere(points) for source in self._sources])
 
     def field(self, currents: ArrayLike, points: ArrayLike) -> np.ndarray:
-        """Field [T] of currents (N,) [A]: (M, 3)."""
+        """Return the field [T] of `currents` (N,) [A] at `points` (M, 3) [m], shape (M, 3)."""
         return np.tensordot(self.effective(currents), self.field_per_ampere(points), 1)
 
     def gradient(self, currents: ArrayLike, points: ArrayLike) -> np.ndarray:
-        """Gradient ∂Bᵢ/∂xⱼ [T/m] of currents (N,) [A]: (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m] of `currents` (N,) [A] at `points` (M, 3) [m], shape (M, 3, 3)."""
         return np.tensordot(self.effective(currents), self.gradient_per_ampere(points), 1)
 
     def effective(self, currents: ArrayLike) -> np.ndarray:
-        """What currents (..., N) [A] are worth in field [A]; the same without a saturation."""
+        """Convert `currents` (..., N) [A] to effective currents; the same without saturation."""
         found = np.asarray(currents)
         if self._curves:
             found = found.astype(float)
@@ -79,7 +80,7 @@ class CoilSet:
         return found
 
     def driven(self, effective: np.ndarray) -> np.ndarray:
-        """The currents (..., N) [A] that are worth `effective` ones (..., N) [A]."""
+        """Convert `effective` currents (..., N) [A] to currents of the windings."""
         if self._curves:
             effective = effective.copy()
             for coil, curve in self._curves.items():
@@ -87,9 +88,9 @@ class CoilSet:
         return effective
 
     def actuation_matrix(self, point: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-        """Field at one point per ampere in each coil [T/A]: (3, N)."""
+        """Return the field per ampere of each coil at one `point` (3,) [m], shape (3, N) [T/A]."""
         return self.field_per_ampere(np.reshape(point, (1, -1)))[:, 0].T
 
     def power(self, currents: ArrayLike) -> float:
-        """Heat in the windings [W] under currents (N,) [A]."""
+        """Return the heat [W] in the windings for `currents` (N,) [A]."""
         return float(np.square(currents) @ self.resistance)

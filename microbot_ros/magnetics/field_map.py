@@ -1,4 +1,4 @@
-"""The field of a coil as measured or computed on a grid of places."""
+"""Field of a coil, measured or computed on a grid of positions."""
 
 from __future__ import annotations
 
@@ -18,11 +18,23 @@ _FIELD = 'field_mT_per_A'
 
 
 class FieldMap:
-    """Field per ampere between the places of a grid, by cubic splines; NaN outside.
+    """Field per ampere between the positions of a grid, by cubic splines; NaN outside.
 
-    `places`: the three rising axes of the grid [m], two or more places each. `field` (X, Y, Z, 3)
-    [T/A] at them. The gradient is that of the splines. With three places along an axis the spline
-    is quadratic there, with two linear. InputError naming `source` for anything else.
+    Three positions along an axis give a quadratic spline, two a linear one. The gradient is that
+    of the splines.
+
+    Parameters
+    ----------
+    places : tuple of three arrays [m]
+        Increasing coordinates of the grid along x, y and z, two or more each.
+    field : (X, Y, Z, 3) array [T/A]
+    source : str or Path
+        Origin of the map, for messages.
+
+    Raises
+    ------
+    InputError
+        For coordinates that do not increase, and for a field of another shape or not finite.
     """
 
     def __init__(self, places: tuple[np.ndarray, ...], field: np.ndarray,
@@ -37,7 +49,7 @@ class FieldMap:
         knots, degrees = [], []
         for axis, along in enumerate(places):
             spline = make_interp_spline(along, field, min(3, len(along) - 1), axis=axis)
-            # Its coefficients come with the axis in front.
+            # SciPy returns the coefficients with the interpolated axis first.
             field = np.moveaxis(spline.c, 0, axis)
             knots.append(spline.t)
             degrees.append(spline.k)
@@ -45,16 +57,16 @@ class FieldMap:
         self._low, self._high = (np.array([along[end] for along in places]) for end in (0, -1))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Field [T/A] at points (M, 3) [m]: (M, 3); NaN outside the grid."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3); NaN outside the grid."""
         return self._evaluate(as_points(points), (0, 0, 0))
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3); NaN outside the grid."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3); NaN outside the grid."""
         points = as_points(points)
         return np.stack([self._evaluate(points, orders) for orders in np.eye(3, dtype=int)], -1)
 
     def margin(self, point: np.ndarray) -> float:
-        """Distance [m] from a point (3,) [m] to the nearest side of the grid; negative outside."""
+        """Return the distance [m] from `point` to the nearest side of the grid; < 0 outside."""
         return float(np.minimum(point - self._low, self._high - point).min())
 
     def _evaluate(self, points: np.ndarray, orders: ArrayLike) -> np.ndarray:
@@ -62,11 +74,11 @@ class FieldMap:
 
 
 def read_field_map(path: str | Path) -> FieldMap:
-    """The map in a file: a table (CSV) of every place of the grid, or its arrays (NPZ).
+    """Read a field map from a CSV table of all grid positions, or from the arrays of an NPZ file.
 
-    CSV has `COLUMNS`, in any order of rows and columns; NPZ has `x_mm`, `y_mm`, `z_mm` and
-    `field_mT_per_A` (X, Y, Z, 3). InputError naming the file, for a table also the line, for
-    what is missing, twice there or not finite.
+    CSV has the columns `COLUMNS`, with rows and columns in any order. NPZ has `x_mm`, `y_mm`,
+    `z_mm` and `field_mT_per_A` (X, Y, Z, 3). Raises InputError naming `path`, and for a table the
+    line, for positions that are missing, duplicate or not finite.
     """
     path = Path(path)
     if path.suffix == '.npz':

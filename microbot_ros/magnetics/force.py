@@ -1,9 +1,9 @@
-"""Magnetic force and torque on a particle, and where in the workspace the force matters.
+"""Magnetic force on a particle, and the region in which the force is negligible.
 
-The steering model leaves the force V (M·∇)B out. Whether it may depends on the particle's moment,
-which the paper does not give. Assumed here: 1 kA/m, about what 1 % by volume of magnetite
-(480 kA/m at saturation) with a remanence of a fifth would keep. Every number is proportional to
-it.
+The steering model omits the force V (M·∇)B. Whether that is justified depends on the moment of the
+particle, which the paper does not give. Assumed here: 1 kA/m, about what 1 % by volume of
+magnetite (480 kA/m at saturation) with a remanence of one fifth keeps. All results are
+proportional to it.
 """
 
 from __future__ import annotations
@@ -17,16 +17,21 @@ from microbot_ros.common.errors import InputError
 from microbot_ros.magnetics.allocation import Allocator
 from microbot_ros.magnetics.coils import CoilSet
 
-_DIRECTIONS = 72  # of the field, and of the places on a circle: every 5°
-_RINGS = 50
+_DIRECTIONS = 72  # choice: directions of the field, and positions on a circle, every 5°
+_RINGS = 50  # choice: radii at which the limit is bracketed, every 0.2 mm of 10 mm
 
 
 @dataclass(frozen=True)
 class MagneticParticle:
-    """A magnetised sphere in a fluid; by default the paper's, with an assumed magnetisation.
+    """Magnetised sphere in a fluid; by default that of the paper, with an assumed magnetisation.
 
-    `radius` [m], `viscosity` [Pa s], `speed` of its own propulsion [m/s] (the slowest of the
-    paper's three), `magnetisation` [A/m].
+    Attributes
+    ----------
+    radius : float [m]
+    viscosity : float [Pa s]
+    speed : float
+        Self-propulsion [m/s]; by default the slowest of the three in the paper.
+    magnetisation : float [A/m]
     """
 
     radius: float = 4.6e-6
@@ -41,32 +46,39 @@ class MagneticParticle:
 
     @property
     def drag(self) -> float:
-        """Stokes's friction 6πηr [N s/m]."""
+        """Stokes drag coefficient 6πηr [N s/m]."""
         return 6 * math.pi * self.viscosity * self.radius
 
     def alignment_time(self, field: float) -> float:
-        """Time constant [s] of turning into a field [T]: 8πηr³ over moment times field."""
+        """Return the time constant [s] of aligning with a `field` [T]: 8πηr³/(moment × field)."""
         return 8 * math.pi * self.viscosity * self.radius**3 / (self.moment * field)
 
 
 def force(moment: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Force (m·∇)B [N] on moments (..., 3) [A m²] in gradients (..., 3, 3) [T/m]: (..., 3)."""
+    """Return (m·∇)B [N] for `moment` (..., 3) [A m²] and `gradient` (..., 3, 3) [T/m]."""
     return np.einsum('...j,...ij->...i', moment, gradient)
-
-
-def torque(moment: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """Torque m × B [N m] on moments (..., 3) [A m²] in fields (..., 3) [T]: (..., 3)."""
-    return np.cross(moment, field)
 
 
 def force_speed(
     coils: CoilSet, points: np.ndarray, magnitude: float, particle: MagneticParticle,
 ) -> np.ndarray:
-    """Speed (M,) [m/s] at which the force drags the particle in the plane, at its worst.
+    """Return the worst in-plane speed (M,) [m/s] at which the magnetic force drags the particle.
 
-    The coils make a field of `magnitude` [T] at the centre, in the direction in the plane that is
-    worst for each of the points (M, 3) or (M, 2) [m]; the moment has turned into the field there.
-    InputError for a magnitude that is not positive or that the coils can't make all round.
+    The coils make the field at the centre, in the in-plane direction that is worst for each point;
+    the moment is aligned with the field at the point.
+
+    Parameters
+    ----------
+    coils : CoilSet
+    points : (M, 3) or (M, 2) array [m]
+    magnitude : float
+        Field at the centre [T].
+    particle : MagneticParticle
+
+    Raises
+    ------
+    InputError
+        If the magnitude is not positive or the coils cannot make it in every direction.
     """
     if not 0 < magnitude < math.inf:
         raise InputError('magnitude', f'expected a positive field, got {magnitude} T')
@@ -89,11 +101,29 @@ def negligible_radius(
     coils: CoilSet, magnitude: float, particle: MagneticParticle | None = None,
     fraction: float = 0.01, within: float = 10e-3,
 ) -> float:
-    """Radius [m] about the centre inside which the force stays below a part of the propulsion.
+    """Return the radius [m] about the centre inside which the force is negligible.
 
-    Inside it `force_speed` at a field of `magnitude` [T] is nowhere more than `fraction` of the
-    particle's own speed. 0 where it is already at the centre; `within` [m] where it is not up to
-    there. InputError as `force_speed`.
+    Inside it, `force_speed` is nowhere more than `fraction` of the particle's own speed.
+
+    Parameters
+    ----------
+    coils : CoilSet
+    magnitude : float
+        Field at the centre [T].
+    particle : MagneticParticle, optional
+    fraction : float
+    within : float
+        Largest radius examined [m]; returned if the force is negligible up to it.
+
+    Returns
+    -------
+    float
+        0 if the force is not negligible even at the centre.
+
+    Raises
+    ------
+    InputError
+        As `force_speed`.
     """
     particle = particle or MagneticParticle()
     angles = np.linspace(0, 2 * np.pi, _DIRECTIONS, endpoint=False)

@@ -1,8 +1,8 @@
 """Field and gradient of a circular current loop, exact to rounding from the wire to infinity.
 
-The loop has radius a, lies in its own plane z = 0 about the origin and carries 1 A,
-counterclockwise seen from +z. With D² = a² + ρ² + z² − 2aρ cos φ, Biot and Savart's law
-B = µ₀/4π ∮ dl × r̂/r² asks for four integrals over φ: of 1/Dⁿ and cos φ/Dⁿ, n = 3 and 5. With
+The loop has radius a, lies in the plane z = 0 about the origin and carries 1 A, counterclockwise
+seen from +z. With D² = a² + ρ² + z² − 2aρ cos φ, the Biot–Savart law B = µ₀/4π ∮ dl × r̂/r² needs
+four integrals over φ: of 1/Dⁿ and cos φ/Dⁿ, n = 3 and 5. With
 
     α² = (a − ρ)² + z²,  β² = (a + ρ)² + z²,  u = 4aρ/β²,  q = α²/β² = 1 − u
 
@@ -13,9 +13,9 @@ and the arithmetic–geometric mean of 1 and √q and its differences cₙ (DLMF
     ∮ 1/D⁵ = 4P/(βα⁴),       P = (2 (1 + q) E − q K)/3,
     ∮ cos φ/D⁵ = 4uH/(βα⁴),  H = K (2 − u − 2 (1 − u + u²) t)/3.
 
-The textbook forms with E − K lose their digits at the axis and far away, where the leading terms
-cancel; here these are cancelled on paper, so that u → 0 is an ordinary point. Beside the wire,
-q → 0, it is ∮ (a − ρ cos φ)/Dⁿ that cancels; there it is taken from
+The textbook forms with E − K lose digits at the axis and far away, where the leading terms cancel.
+Here these terms are cancelled analytically, so that u → 0 is a regular point. Near the wire,
+q → 0, the difference ∮ (a − ρ cos φ)/Dⁿ cancels; there it is computed from
 
     aE − ρuG = (a − ρ) E + 2ρq K (1/2 + u t),
     aP − ρuH = (a − ρ) P + 2ρq ((1 − 2q) E + q K)/(3u).
@@ -31,14 +31,15 @@ from microbot_ros.common.compiled import numba
 from microbot_ros.common.units import MU_0
 
 ON_WIRE = 1e-12
-"""Closer to the wire than this part of the radius, a point counts as on it: field NaN."""
+"""Choice: a point within this part of the radius from the wire counts as on it (field NaN)."""
 
-# Points are taken in blocks, so that their elliptic integrals run side by side in the vector
-# unit; a block's quantities are the rows of one array.
+# Points are processed in blocks, so that their elliptic integrals are vectorised; the quantities
+# of a block are the rows of one array. Choice: 11 rows of 128 doubles fit into the L1 cache.
 _BLOCK = 128
 _X, _Y, _Z, _RHO, _ALPHA2, _BETA2, _U, _MEAN, _SCALED, _DIFFERENCE, _T = range(11)
 
-# Where q is below this, the forms for beside the wire hold.
+# Choice: below this q the forms for points near the wire are used. Both are identities; this
+# decides which of them loses fewer digits.
 _BESIDE = 0.1
 
 _compiled = numba.njit(cache=True, error_model='numpy', fastmath={'contract'})
@@ -47,7 +48,7 @@ _compiled = numba.njit(cache=True, error_model='numpy', fastmath={'contract'})
 @_compiled
 def _locate(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: float,
             block: np.ndarray) -> None:
-    """Write the points' coordinates in the loop's frame and the module's α², β² and u."""
+    """Write the coordinates of the points in the frame of the loop, and α², β² and u."""
     on_wire = (ON_WIRE * a) ** 2
     for i in range(len(points)):
         dx, dy, dz = (points[i, 0] - centre[0], points[i, 1] - centre[1],
@@ -66,10 +67,10 @@ def _locate(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: float,
 
 @_compiled
 def _integrate(n: int, block: np.ndarray) -> None:
-    """Write the arithmetic–geometric mean and t of a block's first n points.
+    """Write the arithmetic–geometric mean and t of the first n points of a block.
 
-    cₙ falls quadratically: once it is below 1e-8 at the slowest point, its square and all that
-    follow are rounding.
+    cₙ converges quadratically: once it is below 1e-8 at the slowest point, all further terms are
+    rounding.
     """
     mean, scaled, difference, t = block[_MEAN], block[_SCALED], block[_DIFFERENCE], block[_T]
     for i in range(n):
@@ -93,10 +94,19 @@ def _integrate(n: int, block: np.ndarray) -> None:
 @_compiled
 def loop_field(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: float, turns: float,
                out: np.ndarray) -> None:
-    """Write the field per ampere [T/A] at points (M, 3) [m] to out (M, 3).
+    """Write the field per ampere [T/A] of a loop to `out`; NaN on the wire.
 
-    `centre` (3,) [m]; `axes` (3, 3): the loop's x, y and z axes as columns; `a` its radius [m];
-    `turns` multiplies the field. NaN on the wire.
+    Parameters
+    ----------
+    points : (M, 3) array [m]
+    centre : (3,) array [m]
+    axes : (3, 3) array
+        The x, y and z axes of the loop as columns.
+    a : float
+        Radius [m].
+    turns : float
+        Factor of the field.
+    out : (M, 3) array
     """
     block = np.empty((11, _BLOCK))
     for start in range(0, len(points), _BLOCK):
@@ -120,10 +130,10 @@ def loop_field(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: floa
 @_compiled
 def loop_gradient(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: float,
                   turns: float, out: np.ndarray) -> None:
-    """Write the gradient per ampere ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m] to out (M, 3, 3).
+    """Write the gradient per ampere ∂Bᵢ/∂xⱼ [T/m/A] of a loop to `out` (M, 3, 3).
 
-    `centre`, `axes`, `a` and `turns` as in `loop_field`. Symmetric and free of trace, since the
-    field has neither curl nor divergence off the wire.
+    `points`, `centre`, `axes`, `a` and `turns` as in `loop_field`. The gradient is symmetric and
+    has no trace, since the field has neither curl nor divergence off the wire.
     """
     block = np.empty((11, _BLOCK))
     local = np.empty((3, 3))
@@ -138,7 +148,7 @@ def loop_gradient(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: f
 
 @_compiled
 def _local_gradient(point: np.ndarray, a: float, turns: float, out: np.ndarray) -> None:
-    """Write the gradient at one point of a block, in the loop's frame."""
+    """Write the gradient at one point of a block, in the frame of the loop."""
     alpha2, beta2, u, t, z = point[_ALPHA2], point[_BETA2], point[_U], point[_T], point[_Z]
     K, q = 0.5 * math.pi / point[_MEAN], alpha2 / beta2
     E = K * (1 - u * (0.5 + u * t))

@@ -1,4 +1,4 @@
-"""The picture of a coil calibration."""
+"""Figure of a coil calibration."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from microbot_ros.magnetics.calibration import Calibration, Readings
 
 
 def draw_calibration(calibration: Calibration, readings: Readings, path: str | Path) -> None:
-    """Measured against fitted field with the residuals below, and the gain of each coil."""
+    """Save a figure of measured over fitted field, the residuals, and the gain of each coil.
+
+    `calibration` was fitted to `readings`; `path` is the image file.
+    """
     from matplotlib.figure import Figure
     figure = Figure(figsize=(9, 4.5), layout='constrained')
     grid = figure.add_gridspec(2, 2, width_ratios=(3, 2), height_ratios=(2, 1))

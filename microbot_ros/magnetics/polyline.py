@@ -1,14 +1,14 @@
 """Field and gradient of straight current-carrying segments.
 
-For a segment from p₁ to p₂, with rᵢ the vectors from its ends to the point, Biot and Savart's law
+For a segment from p₁ to p₂, with rᵢ the vectors from its ends to the point, the Biot–Savart law
 integrates to (Hanson and Hirshman, Physics of Plasmas 9, 4410 (2002))
 
     B = µ₀I/4π · (p₂ − p₁) × r₁ · F,   F = (r₁ + r₂)/(r₁ r₂ S),   S = r₁ r₂ + r₁·r₂
     ∇F/F = (r̂₁ + r̂₂) (1/(r₁ + r₂) − (r₁ + r₂)/S) − r̂₁/r₁ − r̂₂/r₂.
 
-Beside the segment S is a small difference of large numbers; |r₁ × r₂|²/(r₁ r₂ − r₁·r₂) is the
-same without the loss. An open polyline is not a whole circuit: its field has curl everywhere and
-its gradient is not symmetric. Close it by ending where it began.
+Beside the segment S is a small difference of large numbers; |r₁ × r₂|²/(r₁ r₂ − r₁·r₂) is equal
+and loses no digits. An open polyline is not a complete circuit: its field has curl everywhere and
+its gradient is not symmetric. Close it by repeating the first vertex at the end.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from microbot_ros.common.compiled import numba
 from microbot_ros.common.units import MU_0
 
 ON_WIRE = 1e-12
-"""Closer to a segment than this part of its length, a point counts as on it: field NaN."""
+"""Choice: a point within this part of a segment's length from it counts as on it (field NaN)."""
 
 _compiled = numba.njit(cache=True, error_model='numpy', fastmath={'contract'})
 
@@ -53,9 +53,9 @@ def _segment(start: np.ndarray, end: np.ndarray, point: np.ndarray,
 @_compiled
 def polyline_field(points: np.ndarray, vertices: np.ndarray, turns: float,
                    out: np.ndarray) -> None:
-    """Write the field per ampere [T/A] at points (M, 3) [m] to out (M, 3).
+    """Write the field per ampere [T/A] of a polyline at `points` (M, 3) [m] to `out` (M, 3).
 
-    The current runs along vertices (V, 3) [m] in their order, `turns` times. NaN on the wire.
+    The current runs along `vertices` (V, 3) [m] in their order, `turns` times. NaN on the wire.
     """
     work = np.empty((3, 3))
     for i in range(len(points)):
@@ -68,7 +68,7 @@ def polyline_field(points: np.ndarray, vertices: np.ndarray, turns: float,
 @_compiled
 def polyline_gradient(points: np.ndarray, vertices: np.ndarray, turns: float,
                       out: np.ndarray) -> None:
-    """Write the gradient per ampere ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m] to out (M, 3, 3).
+    """Write the gradient per ampere ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m] to `out` (M, 3, 3).
 
     `vertices` and `turns` as in `polyline_field`.
     """

@@ -1,4 +1,4 @@
-"""The core of a coil saturates: what a current is worth in field, and back."""
+"""Saturation of a coil's core: true current to effective current and back."""
 
 from __future__ import annotations
 
@@ -12,12 +12,21 @@ from microbot_ros.common.errors import InputError
 
 
 class Saturation:
-    """Effective over true current, from `points` of both [A], each rising from the origin.
+    """Curve of effective over true current of a coil with a saturating core.
 
     The effective current is the one that would make the same field if the core stayed linear. The
-    curve is monotone and smooth (Fritsch and Carlson's cubic pieces), and odd. It is fitted to the
-    true current over the effective one, the way in which every field is looked up. InputError for
-    points that do not rise or are not finite.
+    curve is monotone, smooth (piecewise cubic, Fritsch and Carlson) and odd. True current is
+    fitted over effective current, because every wanted field needs that direction.
+
+    Parameters
+    ----------
+    points : sequence of pairs
+        True and effective current [A], both increasing from the origin.
+
+    Raises
+    ------
+    InputError
+        For points that do not increase or are not finite.
     """
 
     def __init__(self, points: Sequence[tuple[float, float]]) -> None:
@@ -31,11 +40,11 @@ class Saturation:
         self._driven = PchipInterpolator(effective, true, extrapolate=False)
 
     def driven(self, effective: ArrayLike) -> np.ndarray:
-        """The true currents [A] worth `effective` ones [A]; NaN beyond the curve."""
+        """Convert `effective` currents [A] to true ones; NaN beyond the curve."""
         return np.sign(effective) * self._driven(np.abs(effective))
 
     def effective(self, driven: ArrayLike) -> np.ndarray:
-        """What true currents `driven` [A] are worth [A]; NaN beyond the curve."""
+        """Convert true currents `driven` [A] to effective ones; NaN beyond the curve."""
         driven = np.asarray(driven, dtype=float)
         found = [self._inverse(current) for current in np.abs(driven).ravel().tolist()]
         return np.sign(driven) * np.reshape(found, driven.shape)

@@ -1,4 +1,4 @@
-"""The coils as a person describes them, in a YAML file of their own."""
+"""Settings of the coils, written by the user in a YAML file."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from microbot_ros.magnetics.sources import Loop, Placed, Polyline, Source
 
 Vector = tuple[float, float, float]
 
-_MOST = 16
+_MOST = 16  # choice; twice as many coils make four times the faces that the allocator checks
 _ALONG_AXIS = ('radius_mm', 'rectangle_mm')
 _WOUND = (*_ALONG_AXIS, 'vertices_mm')
 _SHAPES = (*_WOUND, 'field_map', 'source')
 
 
 class Winding(Settings):
-    """One coil: turns round a circle, a rectangle or a path; or its field as it was measured.
+    """One coil: wire around a circle, a rectangle or a path, or a measured field.
 
     Lengths are in the workspace frame: origin at the workspace centre, x right, y up, z towards
-    the camera. Positive current makes a field along `axis` (along the path's right-hand normal),
-    unless `sign` −1 says that the coil is connected the other way round. `gain` is the measured
-    field per ampere over the one of the geometry.
+    the camera. Positive current makes a field along `axis` (for a path: its right-hand normal);
+    `sign` −1 means that the coil is connected in reverse. `gain` is the measured field per ampere
+    over that of the geometry.
 
     * `radius_mm` and `axis`: a circle about `position_mm`.
-    * `rectangle_mm`, its width and height, and `axis`: the width lies in the plane of the
-      workspace, the height across it; for an axis along z the width lies along x.
-    * `vertices_mm`, from `position_mm`: a path, which is closed where it does not end where it
-      began. With `closed: false` it has to.
+    * `rectangle_mm` (width, height) and `axis`: the width lies in the plane of the workspace, the
+      height perpendicular to it; for an axis along z the width lies along x.
+    * `vertices_mm`, relative to `position_mm`: a path. It is closed automatically; with
+      `closed: false` it must end where it begins.
     * `field_map`: a file with the field per ampere, its origin at `position_mm` (`field_map.py`).
-      A relative path starts at the file of the coils.
-    * `source`: what a package brings by the entry point `microbot_ros.coils` (`adapters.py`), its
-      origin at `position_mm`.
+      A relative path starts at the folder of the coil file.
+    * `source`: a coil that a package provides by the entry point `microbot_ros.coils`
+      (`adapters.py`), its origin at `position_mm`.
 
     `saturation`, for a core: pairs [A, effective A] (`saturation.py`) up to `max_current_A`.
     """
@@ -79,11 +79,11 @@ class Winding(Settings):
             self.curve()
             if not self.saturation[-1][0] >= self.max_current_A:
                 raise ValueError('expected a saturation up to max_current_A')
-        self.made_by()  # its own checks, while there is still a file and a line to name
+        self.made_by()  # runs its checks now, while file and line are known
         return self
 
     def made_by(self) -> Source:
-        """What makes this coil's field, its gain and sign included."""
+        """Return the field source of this coil, gain and sign included."""
         centre, factor = 1e-3 * np.array(self.position_mm), self.gain * self.sign
         if self.field_map is not None:
             from microbot_ros.magnetics.field_map import read_field_map
@@ -100,11 +100,11 @@ class Winding(Settings):
         return Polyline(corners, turns)
 
     def curve(self) -> Saturation:
-        """How the core saturates; InputError for pairs that do not rise."""
+        """Return the saturation curve of the core; InputError for pairs that do not increase."""
         return Saturation(self.saturation or ())
 
     def coincides_with(self, other: Winding) -> bool:
-        """Whether both coils lie in the same place, whatever way they are wound."""
+        """Return whether the `other` coil occupies the same place, in either winding direction."""
         alike = all(getattr(self, name) == getattr(other, name)
                     for name in ('position_mm', *_SHAPES))
         if alike and self.axis is not None and other.axis is not None:
@@ -112,7 +112,7 @@ class Winding(Settings):
         return alike
 
     def _corners(self) -> np.ndarray:
-        """The path about the position [mm] (V, 3), of the vertices or of the rectangle."""
+        """Return the path relative to the position (V, 3) [mm]."""
         if self.rectangle_mm is None:
             return np.array(self.vertices_mm)
         axis = np.array(self.axis)
@@ -127,10 +127,10 @@ class Winding(Settings):
 
 
 def _four_in_plane() -> tuple[Winding, ...]:
-    """Four identical coils around the workspace: 2.1 mT/A each, 4.3 mT/A an opposite pair.
+    """Return four identical coils around the workspace: 2.1 mT/A each, 4.3 mT/A per opposite pair.
 
-    In the order of the amplifiers' channels, each with its axis outwards: a uniform field takes
-    opposite currents in opposite coils, as the boards of the Delaware lab expect.
+    They are in the order of the amplifier channels, each with its axis outwards: a uniform field
+    needs opposite currents in opposite coils, as the boards of the Delaware lab expect.
     """
     places: dict[str, tuple[Vector, Vector]] = {
         'coil_plus_y': ((0.0, 30.0, 0.0), (0.0, 1.0, 0.0)),
@@ -146,13 +146,14 @@ def _four_in_plane() -> tuple[Winding, ...]:
 
 
 class CoilSettings(Settings):
-    """The coils, 2 to 16, and the field that is there without them.
+    """The 2 to 16 coils of a rig and the background field.
 
-    Currents are ordered as `windings`, which are in the order of the amplifier's channels. The
-    default is a bench rig: 400 turns of 0.5 mm copper wire on a 20 mm radius, 30 mm from the
-    centre, four times. `background_mT` has two components or three. `axes` says along which axes
-    fields are commanded: `xy` or `xyz`, by default what the coils are good for. No wire may come
-    nearer to the workspace centre than `workspace_mm`, and every field map covers as much.
+    Currents are in the order of `windings`, which is the order of the amplifier channels. The
+    default is a bench rig: four coils of 400 turns of 0.5 mm copper wire on a 20 mm radius, 30 mm
+    from the centre. `background_mT` has two components or three. `axes` selects the axes along
+    which fields are commanded, `xy` or `xyz`; by default those that the coils can make. Every wire
+    must be further than `workspace_mm` from the workspace centre, and every field map must cover
+    that radius.
     """
 
     workspace_mm: PositiveFloat = 1.0
@@ -164,7 +165,7 @@ class CoilSettings(Settings):
     @classmethod
     def _from_a_file(cls, content: Any, validated: pydantic.ModelWrapValidatorHandler[Self],
                      info: pydantic.ValidationInfo) -> CoilSettings:
-        """A file of coils has them under the one key `coils`; those without it are read too."""
+        """Accept both a file with all coils under the key `coils` and one without that key."""
         if isinstance(content, dict) and 'coils' in content:
             return _CoilsFile.model_validate(content, context=info.context).coils
         return validated(content)

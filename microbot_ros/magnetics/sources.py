@@ -1,9 +1,9 @@
-"""What makes a field per ampere: circular loops and polylines, N turns, and anything else placed.
+"""Sources of field per ampere: circular loops, polylines, and other sources moved into place.
 
 Workspace frame: origin at the workspace centre, x right, y up, z towards the camera, right-handed.
 Fields are linear in the current, so everything here is per ampere. A gradient is
-`[..., i, j] = ∂Bᵢ/∂xⱼ`. Points on a wire, where the field is infinite, give NaN; so do points that
-are not finite.
+`[..., i, j] = ∂Bᵢ/∂xⱼ`. Points on a wire, where the field is infinite, and points that are not
+finite give NaN.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from microbot_ros.common.errors import InputError
 
 
 class Source(Protocol):
-    """A coil under 1 A."""
+    """Field of a coil that carries 1 A."""
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Field [T/A] at points (M, 3) [m]: (M, 3)."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3)."""
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3)."""
 
     def margin(self, point: np.ndarray) -> float:
-        """How far a point (3,) [m] is from where the field ends: the wire, the edge of a map [m].
+        """Return the distance [m] from `point` (3,) [m] to the wire or to the edge of a field map.
 
-        Negative beyond a map; infinite where nothing is known to end.
+        Negative outside a map; infinite if no end is known.
         """
 
 
 def as_points(points: ArrayLike) -> np.ndarray:
-    """Points as a contiguous (M, 3) array; (M, 2) lie in the plane z = 0. Else InputError."""
+    """Return points as a contiguous (M, 3) array; (M, 2) lie in z = 0. Otherwise InputError."""
     array = np.ascontiguousarray(points, dtype=float)
     if array.ndim == 2 and array.shape[1] == 2:
         array = np.column_stack([array, np.zeros(len(array))])
@@ -45,11 +45,23 @@ def as_points(points: ArrayLike) -> np.ndarray:
 
 
 class Loop:
-    """A circular loop of `radius` [m] around `axis` (3,), about `centre` (3,) [m].
+    """Circular loop of wire.
 
     Positive current runs counterclockwise seen from the tip of the axis: the field at the centre
-    points along the axis. `turns` multiplies the field; a negative number winds the other way.
-    InputError for a radius that is not positive, an axis of no length, anything not finite.
+    points along the axis.
+
+    Parameters
+    ----------
+    radius : float [m]
+    centre : (3,) array [m]
+    axis : (3,) array
+    turns : float
+        Factor of the field; negative for the opposite winding direction.
+
+    Raises
+    ------
+    InputError
+        For a radius that is not positive, an axis of zero length, and values that are not finite.
     """
 
     def __init__(
@@ -61,28 +73,38 @@ class Loop:
                       float(_finite('turns', turns)))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Field [T/A] at points (M, 3) [m]: (M, 3)."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3)."""
         from microbot_ros.magnetics.loop import loop_field
         return _fill(loop_field, points, (3,), *self._wire)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3)."""
         from microbot_ros.magnetics.loop import loop_gradient
         return _fill(loop_gradient, points, (3, 3), *self._wire)
 
     def margin(self, point: np.ndarray) -> float:
-        """Distance [m] from a point (3,) [m] to the wire."""
+        """Return the distance [m] from `point` (3,) [m] to the wire."""
         centre, axes, radius, _ = self._wire
         x, y, z = (point - centre) @ axes
         return math.hypot(math.hypot(x, y) - radius, z)
 
 
 class Polyline:
-    """Straight segments through `vertices` (V, 3) [m] in their order, `turns` times.
+    """Straight segments of wire through vertices.
 
-    An open polyline is no whole circuit: its field has curl off the wire and its gradient is not
-    symmetric. End where it began to close it. InputError for fewer than two vertices, for two
-    equal neighbours, for anything not finite.
+    An open polyline is not a complete circuit: its field has curl off the wire and its gradient is
+    not symmetric. Repeat the first vertex at the end to close it.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array [m]
+    turns : float
+        Factor of the field.
+
+    Raises
+    ------
+    InputError
+        For fewer than two vertices, two equal neighbours, and values that are not finite.
     """
 
     def __init__(self, vertices: ArrayLike, turns: float = 1.0) -> None:
@@ -92,17 +114,17 @@ class Polyline:
         self._wire = (corners, float(_finite('turns', turns)))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Field [T/A] at points (M, 3) [m]: (M, 3)."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3)."""
         from microbot_ros.magnetics.polyline import polyline_field
         return _fill(polyline_field, points, (3,), *self._wire)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3)."""
         from microbot_ros.magnetics.polyline import polyline_gradient
         return _fill(polyline_gradient, points, (3, 3), *self._wire)
 
     def margin(self, point: np.ndarray) -> float:
-        """Distance [m] from a point (3,) [m] to the wire."""
+        """Return the distance [m] from `point` (3,) [m] to the wire."""
         starts, sides = self._wire[0][:-1], np.diff(self._wire[0], axis=0)
         along = np.einsum('vi,vi->v', point - starts, sides) / np.square(sides).sum(axis=1)
         nearest = starts + np.clip(along, 0, 1)[:, None] * sides
@@ -110,9 +132,9 @@ class Polyline:
 
 
 class Placed:
-    """Another `source`, its origin moved to `centre` (3,) [m] and its field times `factor`.
+    """Another `source` with its origin moved to `centre` (3,) [m] and its field times `factor`.
 
-    InputError for anything not finite.
+    Raises InputError for values that are not finite.
     """
 
     def __init__(self, source: Source, centre: ArrayLike, factor: float = 1.0) -> None:
@@ -120,15 +142,15 @@ class Placed:
         self._factor = float(_finite('factor', factor))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Field [T/A] at points (M, 3) [m]: (M, 3)."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3)."""
         return self._factor * self._source.field_per_ampere(as_points(points) - self._centre)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3)."""
         return self._factor * self._source.gradient_per_ampere(as_points(points) - self._centre)
 
     def margin(self, point: np.ndarray) -> float:
-        """As `Source.margin` at a point (3,) [m]."""
+        """Return `Source.margin` of the source at `point` (3,) [m]."""
         return self._source.margin(point - self._centre)
 
 
@@ -149,7 +171,7 @@ def _finite(name: str, value: ArrayLike) -> np.ndarray:
 
 
 def _frame(axis: np.ndarray) -> np.ndarray:
-    """A right-handed orthonormal frame with `axis` as the last of its columns."""
+    """Return a right-handed orthonormal frame with `axis` as its last column."""
     length = np.linalg.norm(axis)
     if not length > 0:
         raise InputError('axis', 'expected a direction, got a vector of no length')

@@ -1,4 +1,4 @@
-"""Tables of numbers as people write them: CSV with a header, columns in any order."""
+"""CSV tables of numbers written by people: a header, columns in any order."""
 
 from __future__ import annotations
 
@@ -15,10 +15,24 @@ from microbot_ros.common.errors import InputError
 def read_table(
     path: str | Path, needed: Sequence[str], optional: Sequence[str] = (),
 ) -> tuple[dict[str, np.ndarray], list[int]]:
-    """The columns (K,) of a CSV file by name, and the line that each row ends on.
+    """Read a CSV file of numbers with a header.
 
-    InputError naming file, line and column for a file that can't be read, for columns other than
-    the `needed` and the `optional`, for anything that is no finite number, for no rows at all.
+    Parameters
+    ----------
+    path : str or Path
+    needed, optional : sequence of str
+        Names of columns that must and that may be there.
+
+    Returns
+    -------
+    dict, list of int
+        Columns (K,) by name, and the line of the file on which each row ends.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and column: for an unreadable file, other columns, values that are not
+        finite numbers, and a file without rows.
     """
     try:
         text = Path(path).read_text(encoding='utf-8-sig').splitlines()

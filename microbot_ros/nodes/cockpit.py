@@ -32,6 +32,9 @@ class CockpitParameters:
     discoveries: str = setting(
         '', 'Folder for what discovery finds when a page starts it, a folder each; empty is '
         '~/.local/share/microbot_ros/discoveries.', read_only=True)
+    recordings: str = setting(
+        'recordings', 'Folder of the recordings that pages list, replay and download, a folder '
+        'each.', read_only=True)
 
 
 class CockpitNode(RigNode):
@@ -48,6 +51,7 @@ class CockpitNode(RigNode):
         self._address: Path | None = None
         require('cockpit')
         from microbot_ros.cockpit.discovery import Discovery, default_folder
+        from microbot_ros.cockpit.recordings import Recordings
         from microbot_ros.cockpit.server import Server
         from microbot_ros.nodes.client.operated_rig import OperatedRig
 
@@ -56,7 +60,8 @@ class CockpitNode(RigNode):
         folder = Path(values.discoveries).resolve() if values.discoveries else default_folder()
         self._server = Server(
             self._operated, Discovery(self.get_namespace(), folder),
-            values.host, values.port, open_to_all=not values.token)
+            Recordings(Path(values.recordings).resolve()), values.host, values.port,
+            open_to_all=not values.token)
         self.every(_ATTEND_SECONDS, self._operated.update_subscriptions)
 
     def start(self) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from geometry_msgs.msg import Vector3Stamped
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from sensor_msgs.msg import JointState, MagneticField, TimeReference
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
@@ -77,16 +79,16 @@ class CoilDriverParameters(GateParameters):
 
 
 class CoilDriverNode(RigNode):
-    """`field/command` → the line; the line → `coils/…`, `field/applied`, `~/latency`, `~/armed`.
+    """`field/command`, `field/rotating` → the line; the line → `coils/…`, `field/applied`, ….
 
-    With an angular velocity on `field/rotation` the commanded field turns.
+    A message on `field/command` is a field that stands, one on `field/rotating` a field that
+    rotates; the newest of both is driven.
 
     A shell: the gate, the dead-man and the reconnecting are in `drive`, and need no executor.
-    Arming is for one commander, the one publisher of `field/command` that is there then: a
-    second one, or another in its place, or another's `field/rotation`, ends it. A request to arm
-    waits in a thread of its own, so that a request to disarm zeroes at once, and is refused where
-    a stop, a fault or a signal came after it was sent. Every state, and every arming, begins with
-    nothing commanded. `~/heartbeat` says that an operator is there (`Gate.attend`).
+    Arming is for one commander, the one node that publishes commands then: a second one, or
+    another in its place, ends it. A request to arm waits in a thread of its own, so that a request
+    to disarm zeroes at once, and is refused where a stop, a fault or a signal came after it was
+    sent. `~/heartbeat` says that an operator is there (`Gate.attend`).
     """
 
     Parameters: ClassVar[type] = CoilDriverParameters
@@ -99,14 +101,14 @@ class CoilDriverNode(RigNode):
         self.stage = AllocationStage(values)
         self._latency = math.nan
         self._refused = 0
-        self._commander: bytes | None = None
+        self._commander: set[bytes] = set()
+        self._stands_s = -math.inf
         amplifier = amplifier_class(values.amplifier)(
             values.port, values.full_scale_A, len(self.stage.coils.names))
         if values.board_turns and not amplifier.can_swing:
             raise InputError('board_turns', f'{values.amplifier} turns no currents by itself; '
                              'expected false')
         amplifier.swings = values.board_turns
-        self._command_nothing()
         self._heat = HeatRecord(values.port, limits(values), amplifier.channels)
         self._heat.forget_old()
         self._driver = CoilDriver(
@@ -125,7 +127,7 @@ class CoilDriverNode(RigNode):
         self._told_zero: Zero | None = None
         self.subscribe(Vector3Stamped, 'field/command', self._on_command, NEWEST,
                        on_matched=self._on_commanders)
-        self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation, NEWEST,
+        self.subscribe(TwistStamped, 'field/rotating', self._on_rotating, NEWEST,
                        on_matched=self._on_commanders)
         self.subscribe(Empty, '~/heartbeat', self._on_heartbeat)
         self.service_aside(SetBool, '~/arm', self._on_arm, at_once=self._on_arm_asked)
@@ -135,11 +137,7 @@ class CoilDriverNode(RigNode):
         except AmplifierError as error:
             raise InputError(self.get_name(), str(error)) from None
 
-    def start(self) -> None:
-        self._command_nothing()
-
     def stop(self) -> None:
-        self._command_nothing()
         self.make_safe()
 
     def teardown(self) -> None:
@@ -153,10 +151,6 @@ class CoilDriverNode(RigNode):
     def make_safe(self) -> None:
         if hasattr(self, '_driver'):
             self._driver.disarm()
-
-    def _command_nothing(self) -> None:
-        """Forget what was commanded: a rotation from before does not turn the next field."""
-        self._rotation, self._rotation_s = np.zeros(3), -math.inf
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         self._tell_changes()
@@ -225,42 +219,46 @@ class CoilDriverNode(RigNode):
 
     def _on_command(self, message: Vector3Stamped) -> None:
         field, stamp = messages.vector(message), message.header.stamp
-        exposed = messages.to_seconds(stamp)
-        age, newest = self.seconds() - exposed, self.settings.max_command_age_ms * 1e-3
+        self._take('field/command', field, np.zeros(3), stamp)
+
+    def _on_rotating(self, message: TwistStamped) -> None:
+        field, angular_velocity = messages.rotating_field(message)
+        stamp = message.header.stamp
+        # Two topics keep no order: a rotation from before the field that stands is superseded.
+        if messages.to_seconds(stamp) >= self._stands_s:
+            self._take('field/rotating', field, angular_velocity, stamp)
+
+    def _take(self, topic: str, field: np.ndarray, angular_velocity: np.ndarray,
+              stamp: Time) -> None:
+        """Drive a command from a `topic`, unless its `stamp` is too old or in the future."""
+        age = self.seconds() - messages.to_seconds(stamp)
         if age < -0.05:
-            self._refuse(f'field/command is {-age:.3f} s ahead of the clock here; not driven')
-        elif not age <= newest:
-            self._refuse(f'field/command is {age:.3f} s old, more than max_command_age_ms; '
-                         'not driven')
-        elif self._rotation.any() and not abs(exposed - self._rotation_s) <= newest:
-            self._refuse(f'field/rotation is {exposed - self._rotation_s:.3f} s older than '
-                         'field/command, more than max_command_age_ms; not driven')
+            self._refuse(f'{topic} is {-age:.3f} s ahead of the clock here; not driven')
+        elif not age <= self.settings.max_command_age_ms * 1e-3:
+            self._refuse(f'{topic} is {age:.3f} s old, more than max_command_age_ms; not driven')
         else:
             try:
-                wanted = self._drive(field, stamp)
+                wanted = self._drive(field, angular_velocity, stamp)
             except ValueError as error:
                 self._refuse(f'{error}; not driven')
                 return
             self._wanted.publish(messages.currents(self.stage.coils.names, wanted, stamp))
 
-    def _drive(self, field: np.ndarray, stamp: Any) -> np.ndarray:
-        """Leave a field for the driver, turning where it is to; the currents that begin it."""
+    def _drive(self, field: np.ndarray, angular_velocity: np.ndarray, stamp: Time) -> np.ndarray:
+        """Give a field to the driver, and return the currents (N,) [A] that begin it."""
         nothing = not field.any()
-        if nothing or not self._rotation.any():
+        if nothing or not angular_velocity.any():
             wanted = self.stage.step(field)
             self._driver.command(wanted, stamp, neutral=nothing)
+            self._stands_s = messages.to_seconds(stamp)
             return wanted
-        turning = self.stage.turn(field, self._rotation)
+        turning = self.stage.turn(field, angular_velocity)
         self._driver.turn(turning, stamp)
         return turning.at(turning.start)
 
     def _refuse(self, sentence: str) -> None:
         self._refused += 1
         self.complain(sentence)
-
-    def _on_rotation(self, message: Vector3Stamped) -> None:
-        self._rotation = messages.vector(message)
-        self._rotation_s = messages.to_seconds(message.header.stamp)
 
     def _on_sent(self, command: Command) -> None:
         """In the driver's thread: a command has gone out, zeros where the gate tripped."""
@@ -304,31 +302,30 @@ class CoilDriverNode(RigNode):
     def _on_heartbeat(self, _: Empty) -> None:
         self._driver.attend()
 
-    def _commanders(self) -> dict[bytes, str]:
-        """Who publishes `field/command` now: the endpoint's identity, the node's full name."""
-        return {bytes(found.endpoint_gid): f'{found.node_namespace.rstrip("/")}/{found.node_name}'
-                for found in self.get_publishers_info_by_topic('field/command')}
+    def _commanders(self) -> tuple[list[str], set[bytes]]:
+        """Return the full names of the nodes that publish commands, and their endpoints.
 
-    def _strangers(self, commanders: dict[bytes, str]) -> str:
-        """Who publishes `field/rotation` and is none of these `commanders`; '' for nobody."""
-        found = {f'{one.node_namespace.rstrip("/")}/{one.node_name}'
-                 for one in self.get_publishers_info_by_topic('field/rotation')}
-        return ' and '.join(sorted(found - set(commanders.values())))
+        A name is listed as often as it publishes the same topic: a node that was killed and its
+        successor are two.
+        """
+        names, endpoints = Counter[str](), set[bytes]()
+        for topic in ('field/command', 'field/rotating'):
+            found = self.get_publishers_info_by_topic(topic)
+            names |= Counter(f'{one.node_namespace.rstrip("/")}/{one.node_name}' for one in found)
+            endpoints |= {bytes(one.endpoint_gid) for one in found}
+        return sorted(names.elements()), endpoints
 
     def _on_commanders(self, _: Any) -> None:
-        """Somebody who commands has come or gone: what was armed was armed for one."""
-        found = self._commanders()
-        if not self._driver.gate.armed or not found:
+        """A commander has come or gone: the rig was armed for one."""
+        names, endpoints = self._commanders()
+        if not self._driver.gate.armed or not names:
             return
-        if strangers := self._strangers(found):
-            self._driver.request_zero((Reason.COMMANDER, f'{strangers} publishes field/rotation'))
-        if found.keys() == {self._commander}:
+        if len(names) > 1:
+            detail = f'{len(names)} publish commands: {" and ".join(names)}'
+        elif self._commander <= endpoints:
             return
-        names = ' and '.join(sorted(found.values()))
-        if len(found) > 1:
-            detail = f'{len(found)} publish field/command: {names}'
         else:
-            detail = f'{names} is new, or back, and needs a new arm'
+            detail = f'{names[0]} is new, or back, and needs a new arm'
         self._driver.request_zero((Reason.COMMANDER, detail))
 
     def _choose_commander(self, epoch: int) -> str:
@@ -337,20 +334,16 @@ class CoilDriverNode(RigNode):
         A stop or fault after `epoch` ends the search.
         """
         deadline = time.monotonic() + _COMMANDER_SECONDS
-        while not (found := self._commanders()):
+        while not (found := self._commanders())[0]:
             if self._driver.epoch != epoch:
                 return STOPPED
             if time.monotonic() > deadline:
                 return 'nobody publishes field/command: start the controller first'
             time.sleep(0.02)
-        if len(found) > 1:
-            names = ' and '.join(sorted(found.values()))
-            return (f'{len(found)} publish field/command, expected one: {names} (a process that '
-                    'was killed counts for some seconds)')
-        if strangers := self._strangers(found):
-            return f'{strangers} publishes field/rotation, expected only who publishes ' \
-                   'field/command'
-        self._commander, = found
+        names, self._commander = found
+        if len(names) > 1:
+            return (f'{len(names)} publish commands, expected one: {" and ".join(names)} (a '
+                    'process that was killed counts for some seconds)')
         return ''
 
     def _on_arm_asked(self, request: Any, header: Any) -> threading.Event | int:
@@ -381,7 +374,6 @@ class CoilDriverNode(RigNode):
         refusal = self._choose_commander(epoch)
         if refusal:
             return refusal
-        self._command_nothing()
         refusal = self._driver.arm(epoch) or ''
         if not refusal:
             self._on_commanders(None)  # one may have come or gone while arming went on

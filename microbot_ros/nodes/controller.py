@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Point, PoseArray, PoseStamped, Vector3Stamped
+from geometry_msgs.msg import Point, PoseArray, PoseStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Bool, Header, String
@@ -39,7 +39,7 @@ _MARKERS_SECONDS = 0.2
 
 
 class ControllerCore(Core):
-    """`model/state`, goals → `field/command`, `field/rotation`."""
+    """`model/state`, goals → `field/command`, or `field/rotating` for a field that rotates."""
 
     Parameters: ClassVar[type] = ControllerParameters
     frame = 'model/state'
@@ -77,11 +77,10 @@ class ControllerCore(Core):
         self.stage.begin()
         self._goals_stamp = self._path_stamp = self._plan_stamp = 0.0
         self._refused = 0.0, ''
-        self._turning = False
         self._commands = self.publisher(Vector3Stamped, 'field/command')
         self._markers = self.publisher(MarkerArray, 'markers')
         self._markers_due = 0.0
-        self._rotations = self.publisher(Vector3Stamped, 'field/rotation')
+        self._rotating = self.publisher(TwistStamped, 'field/rotating')
         # Latched: who looks later is to know too where it goes.
         self._goals_taken = self.publisher(PointCloud2, '~/goals', LATCHED)
         self._path_taken = self.publisher(Path, '~/path', LATCHED)
@@ -225,12 +224,11 @@ class ControllerCore(Core):
         self._publish(no_field(''), self.now_stamp())
 
     def _publish(self, command: FieldCommand, stamp: Time) -> None:
-        # The rotation first: what is commanded then already turns.
-        turns = command.frequency > 0
-        if turns or self._turning:
-            self._rotations.publish(messages.field_vector(command.angular_velocity, stamp))
-        self._turning = turns
-        self._commands.publish(messages.field_vector(command.field, stamp))
+        if command.frequency > 0:
+            self._rotating.publish(
+                messages.rotating(command.field, command.angular_velocity, stamp))
+        else:
+            self._commands.publish(messages.field_vector(command.field, stamp))
 
 
 class ControllerNode(RigNode, ControllerCore):

@@ -8,11 +8,12 @@ import math
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
@@ -47,32 +48,29 @@ from microbot_ros.session.replay.log import (
 )
 from microbot_ros.session.replay.playback import Source, open_source
 
-_REMEMBERED = 5000
-"""Answers of a node that are kept for the node that takes them: 50 s at 100 Hz."""
-
 
 class CoilCore(Core):
-    """`field/command` and `field/rotation` → `coils/command`, without gate and amplifier."""
+    """`field/command`, `field/rotating` → `coils/command`, without gate and amplifier."""
 
     Parameters = GateParameters
     frame = 'field/command'
 
     def connect(self) -> None:
-        self._stage, self._rotation = AllocationStage(self.settings), np.zeros(3)
+        self._stage = AllocationStage(self.settings)
         self._wanted = self.publisher(JointState, 'coils/command')
-        self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation)
-        self.subscribe(Vector3Stamped, 'field/command', self._on_command)
+        self.subscribe(Vector3Stamped, 'field/command', lambda message: self._answer(
+            self._stage.step(messages.vector(message)), message))
+        self.subscribe(TwistStamped, 'field/rotating', self._on_rotating)
 
-    def _on_rotation(self, message: Vector3Stamped) -> None:
-        self._rotation = messages.vector(message)
-
-    def _on_command(self, message: Vector3Stamped) -> None:
-        field = messages.vector(message)
-        if field.any() and self._rotation.any():
-            turning = self._stage.turn(field, self._rotation)
-            currents = turning.at(turning.start)
+    def _on_rotating(self, message: TwistStamped) -> None:
+        field, angular_velocity = messages.rotating_field(message)
+        if field.any() and angular_velocity.any():
+            turning = self._stage.turn(field, angular_velocity)
+            self._answer(turning.at(turning.start), message)
         else:
-            currents = self._stage.step(field)
+            self._answer(self._stage.step(field), message)
+
+    def _answer(self, currents: np.ndarray, message: Any) -> None:
         self._wanted.publish(messages.currents(
             self._stage.coils.names, currents, message.header.stamp))
 
@@ -81,36 +79,27 @@ class CoilCore(Core):
 class Stage:
     """A node that can be replayed.
 
-    `takes` lists its topics, the one that it answers first; `answer` is the topic of its answer
-    and `also` what it publishes beside it; `core` is what it runs.
+    `takes` lists its topics, the one that it answers first; `gives` the topics that it publishes,
+    that of its answer first; `core` is what it runs.
     """
 
     node: str
     takes: tuple[str, ...]
-    answer: str
-    also: tuple[str, ...]
+    gives: tuple[str, ...]
     core: type[Core]
-
-    @property
-    def gives(self) -> tuple[str, ...]:
-        """All topics that it publishes."""
-        return (self.answer, *self.also)
 
 
 STAGES = (
-    Stage('tracker', ('camera/image_raw', 'field/applied', 'field/command', 'field/rotation'),
-          'particles', ('particles/poses',), TrackerCore),
-    Stage('model', ('particles', 'field/applied', 'field/command', 'field/rotation'),
-          'model/state', (), ModelCore),
+    Stage('tracker', ('camera/image_raw', 'field/applied', 'field/command', 'field/rotating'),
+          ('particles', 'particles/poses'), TrackerCore),
+    Stage('model', ('particles', 'field/applied', 'field/command', 'field/rotating'),
+          ('model/state',), ModelCore),
     Stage('controller', ('model/state', 'goals', 'particle_goals', 'goal_pose', 'path',
-                         'field/plan', 'joy'), 'field/command', ('field/rotation',),
+                         'field/plan', 'joy'), ('field/command', 'field/rotating'),
           ControllerCore),
-    Stage('coil_driver', ('field/command', 'field/rotation'), 'coils/command', (), CoilCore),
+    Stage('coil_driver', ('field/command', 'field/rotating'), ('coils/command',), CoilCore),
 )
-"""The nodes whose answers follow from what is recorded, in the order of the graph.
-
-What a node takes from one before it is what that one answers in the replay; what comes back from
-one after it, the field, is what was recorded."""
+"""The nodes whose answers follow from what is recorded, in the order of the graph."""
 
 
 @dataclass(frozen=True)
@@ -140,26 +129,24 @@ def plan_replay(source: Source, path: Path, nodes: Collection[str] = ()) -> Repl
     replayed unless it is named. Raises InputError where there is nothing to replay.
     """
     by_role = {name: topic for topic in source.topics for stage in STAGES
-               for name in (*stage.takes, stage.answer) if is_topic(topic, name)}
+               for name in (*stage.takes, *stage.gives) if is_topic(topic, name)}
     counts = {name: source.topics[topic].count for name, topic in by_role.items()}
 
     def reproducible(stage: Stage) -> bool:
         enough = stage.node != 'tracker' or counts.get('camera/image_raw', 0) >= counts.get(
             'particles', 0)
-        return bool(counts.get(stage.takes[0]) and counts.get(stage.answer) and enough)
+        answered = any(counts.get(topic) for topic in stage.gives)
+        return bool(counts.get(stage.takes[0]) and answered and enough)
 
     stages = tuple(stage for stage in STAGES
                    if (stage.node in nodes if nodes else reproducible(stage)))
     if not stages:
         raise InputError(path, 'expected a recording of what a node took and what it answered')
-    given = set[str]()
-    taken = set[str]()
     for stage in stages:
-        if stage.takes[0] not in given and not counts.get(stage.takes[0]):
+        if not counts.get(stage.takes[0]):
             raise InputError(path, f'expected {stage.takes[0]} to play to the {stage.node}')
-        taken |= {topic for topic in stage.takes if topic not in given}
-        given |= set(stage.gives)
-    played = tuple(by_role[name] for name in sorted(taken) if counts.get(name))
+    taken = {name for stage in stages for name in stage.takes if counts.get(name)}
+    played = tuple(by_role[name] for name in sorted(taken))
     for topic in played:
         kind = next(kind for name, (kind, _) in TOPICS.items() if is_topic(topic, name))
         if source.topics[topic].type != type_name(kind):
@@ -294,129 +281,107 @@ class Replayed(Core):
             self._sets = new
 
 
-class _Player:
-    """Plays the log of one node to its core: `step` by step, an entry each.
+class Player:
+    """One node in a replay: its core, and the log of what it took in.
 
-    `before` are the players whose answers it takes.
+    Parameters
+    ----------
+    stage
+        The node.
+    namespace
+        Namespace of its recorded topics.
+    parameters
+        Its parameters by full names.
+    source
+        Recording that is replayed.
+    writer
+        Recording that its answers are written to.
+    kept_file
+        Returns, for the name and the value of a parameter, the value to use in the replay.
     """
 
-    def __init__(self, stage: Stage, replay: Replay, parameters: Mapping[str, Any],
-                 source: Source, before: list[_Player]) -> None:
-        self.stage = stage
+    def __init__(self, stage: Stage, namespace: str, parameters: Mapping[str, Any],
+                 source: Source, writer: RecordingWriter,
+                 kept_file: Callable[[str, Any], Any]) -> None:
         self.doubt: Doubt | None = None
         """From which frame on the answers cannot be judged; None where all can."""
         self.played: set[int] = set()
         """Stamps [ns] of the frames that the core took."""
-        self._said: dict[tuple[str, int], bytes] = {}
-        self._replay, self._before = replay, before
+        log = f'{namespace}/{LOG}'
+        self.ordered = stage.node == 'coil_driver' or log in source.topics
+        """Whether the order in which the node took things in is recorded."""
+        self._stage, self._namespace = stage, namespace
+        self._writer, self._kept_file = writer, kept_file
         core = type(f'Replayed{stage.core.__name__}', (Replayed, stage.core), {})
         self._core: Replayed = core(stage, parameters, self._keep)
-        given = {name for player in before for name in player.stage.gives}
         topics = {name: topic for name in stage.takes if name in self._core.inlets
-                  and name not in given for topic in source.topics if is_topic(topic, name)}
+                  for topic in source.topics if is_topic(topic, name)}
         self._inputs = Inputs(source, topics)
-        self.ordered = stage.node == 'coil_driver'
-        """Whether the order in which the node took things in is recorded."""
-        self._log = self._find_log(source)
+        if stage.node == 'coil_driver':
+            self._log = self._commands(source)
+        elif self.ordered:
+            self._log = read_log(source, log, stage.node, stage.takes[0])
+        else:
+            self._log = order_of_receipt(source, {topic: name for name, topic in topics.items()})
         self._now_ns, self._reason = 0, ''
 
-    def _find_log(self, source: Source) -> Iterator[Entry]:
-        stage, namespace = self.stage, self._replay.plan.namespace
-        if self.ordered:
-            return self._commands(source, f'{namespace}/{stage.answer}')
-        log = f'{namespace}/{LOG}'
-        if log in source.topics:
-            self.ordered = True
-            return read_log(source, log, stage.node, stage.takes[0])
-        frames = f'{namespace}/{stage.takes[0]}'
-        topics = {f'{namespace}/{name}': name for name in self._core.inlets}
-        return order_of_receipt(source, {
-            topic: name for topic, name in topics.items()
-            if topic in source.topics or topic == frames})
-
-    def _commands(self, source: Source, answer: str) -> Iterator[Entry]:
-        """Return the commands that a coil driver took; it refuses late ones, and keeps nothing."""
-        topic = answer if answer in source.topics else (
-            f'{self._replay.plan.namespace}/field/command')
+    def _commands(self, source: Source) -> Iterator[Entry]:
+        """Return the commands that a coil driver took; it refuses late ones, and keeps no log."""
+        answer = f'{self._namespace}/{self._stage.gives[0]}'
+        topic = answer if answer in source.topics else f'{self._namespace}/field/command'
         for message in source.messages([topic]):
-            stamp = header_stamp_ns(message.data)
-            for name in ('field/rotation', 'field/command'):
-                yield Entry(name, stamp, message.t_ns)
+            yield Entry('field/command', header_stamp_ns(message.data), message.t_ns)
 
-    def step(self) -> bool:
-        """Play the next entry; return False where there is none before the end of the replay."""
-        entry = next(self._log, None)
-        if entry is None or entry.at_ns > self._replay.end_ns:
-            return False
-        self._now_ns = entry.at_ns
-        self._take(entry)
-        self._reason = self._reason or entry.doubt or self._core.withheld
-        if entry.name == self.stage.takes[0]:
-            self.played.add(entry.what)
-            reason = self._reason or self._core.unrepeatable
-            if reason and self.doubt is None:
-                self.doubt = Doubt(entry.what, reason)
-        for forgotten in [*self._said][:max(0, len(self._said) - _REMEMBERED)]:
-            del self._said[forgotten]
-        return True
+    def run(self, end_ns: int) -> None:
+        """Play the log up to a time `end_ns` [ns]."""
+        for entry in self._log:
+            if entry.at_ns > end_ns:
+                break
+            self._now_ns = entry.at_ns
+            self._take(entry)
+            self._reason = self._reason or entry.doubt or self._core.withheld
+            if entry.name == self._stage.takes[0]:
+                self.played.add(entry.what)
+                reason = self._reason or self._core.unrepeatable
+                if reason and self.doubt is None:
+                    self.doubt = Doubt(entry.what, reason)
 
     def _take(self, entry: Entry) -> None:
-        data = None
+        node, data = self._stage.node, None
         if entry.name == PARAMETERS:
             if entry.what is None:
-                self._reason = f'the {self.stage.node} refused parameters'
+                self._reason = f'the {node} refused parameters'
                 return
             entry = entry._replace(what={
-                name: kept_file(self._replay.kept, self._replay.folder, name, value)
-                for name, value in entry.what.items()})
+                name: self._kept_file(name, value) for name, value in entry.what.items()})
         if entry.name in self._core.inlets and type(entry.what) is int:
-            data = self._find(entry)
+            data = self._inputs.find(entry.name, entry.what, entry.at_ns)
+            if data is None and node == 'coil_driver':
+                entry = entry._replace(name='field/rotating')
+                data = self._inputs.find(entry.name, entry.what, entry.at_ns)
             if data is None:
-                if entry.name != 'field/rotation' or self.stage.node != 'coil_driver':
-                    self._reason = (f'what the {self.stage.node} took from {entry.name} was not '
-                                    'recorded')
+                self._reason = f'what the {node} took from {entry.name} was not recorded'
                 return
         elif entry.name not in (PARAMETERS, EXPIRE, LET_GO, *self._core.inlets):
             if entry.name.startswith('~/'):
-                self._reason = f'the {self.stage.node} was taught by {entry.name[2:]}'
+                self._reason = f'the {node} was taught by {entry.name[2:]}'
             return
         self._core.be_given(entry, data)
 
-    def _find(self, entry: Entry) -> bytes | None:
-        for player in self._before:
-            if entry.name in player.stage.gives:
-                return player.answer(entry)
-        return self._inputs.find(entry.name, entry.what, entry.at_ns)
-
-    def answer(self, entry: Entry) -> bytes | None:
-        """Return what the core answers to the frame that an `entry` of another node names."""
-        while (entry.name, entry.what) not in self._said and entry.what not in self.played and (
-                self._now_ns <= entry.at_ns and self.step()):
-            pass
-        return self._said.get((entry.name, entry.what))
-
     def _keep(self, name: str, message: Any) -> None:
-        if name in self.stage.gives:
+        if name in self._stage.gives:
             kind = type_name(type(message))
-            data = whole(serialize_message(message), kind)
-            self._said[name, header_stamp_ns(data)] = data
-            self._replay.writer.write(
-                f'{self._replay.plan.namespace}/{name}', kind, self._now_ns, data)
+            self._writer.write(f'{self._namespace}/{name}', kind, self._now_ns,
+                               whole(serialize_message(message), kind))
 
 
 class Replay:
     """A recorded `session` through today's nodes, without a graph, a clock or a deadline.
 
-    By a `plan`, with `parameters` of each node, up to `end_s` [s] or the end if that is 0. What
-    the nodes take and what they answer is written to `out`, a recording.
+    By a `plan`, with `parameters` of each node, up to `end_s` [s] or the end if that is 0. Each
+    node is given what it took when it was recorded. The inputs and the answers are written to
+    `out`, a recording.
     """
-
-    writer: RecordingWriter
-    end_ns: int
-    kept: Mapping[str, bytes]
-    """Files kept inside the recording."""
-    folder: Path
-    """Where copies of those that parameters name are put."""
 
     def __init__(self, session: Path, out: Path, plan: ReplayPlan,
                  parameters: Mapping[str, Mapping[str, Any]], end_s: float = 0.0) -> None:
@@ -425,33 +390,25 @@ class Replay:
         self.plan = plan
         self._session, self._out, self._end_s = session, out, end_s
         self._parameters = parameters
-        self.players: dict[str, _Player] = {}
+        self.players: dict[str, Player] = {}
         """The node's name → what played it."""
 
     def run(self) -> None:
         """Play all of it. Raises InputError where a node refuses its parameters."""
-        with contextlib.ExitStack() as leaving:
-            source = leaving.enter_context(open_source(self._session))
-            self.kept = source.attachments() if isinstance(source, Recording) else {}
-            self.folder = Path(leaving.enter_context(tempfile.TemporaryDirectory()))
-            self.writer = leaving.enter_context(RecordingWriter(self._out))
-            self.end_ns = (source.start_ns + round(self._end_s * 1e9) if self._end_s
-                           else source.end_ns + 1)
-            before: list[_Player] = []
+        with (open_source(self._session) as source, tempfile.TemporaryDirectory() as folder,
+              RecordingWriter(self._out) as writer):
+            kept = source.attachments() if isinstance(source, Recording) else {}
+            end_ns = (source.start_ns + round(self._end_s * 1e9) if self._end_s
+                      else source.end_ns + 1)
             for stage in self.plan.stages:
-                player = _Player(stage, self, self._parameters.get(stage.node, {}), source, before)
-                self.players[stage.node] = player
-                before = [*before, player]
-            for player in reversed(before):
-                while player.step():
-                    pass
-            self._copy(source)
-
-    def _copy(self, source: Source) -> None:
-        """Write what the nodes took, so that `out` is a recording to replay again."""
-        taken = {*self.plan.played, f'{self.plan.namespace}/{LOG}'} & set(source.topics)
-        given = {topic for topics in self.plan.answers.values() for topic in topics}
-        for message in source.messages(taken - given, end_ns=self.end_ns):
-            self.writer.write(*message)
-        for name, content in self.kept.items():
-            self.writer.attach(name, content)
+                player = self.players[stage.node] = Player(
+                    stage, self.plan.namespace, self._parameters.get(stage.node, {}), source,
+                    writer, partial(kept_file, kept, Path(folder)))
+                player.run(end_ns)
+            # What the nodes took, so that `out` is a recording to replay again.
+            taken = {*self.plan.played, f'{self.plan.namespace}/{LOG}'} & set(source.topics)
+            given = {topic for topics in self.plan.answers.values() for topic in topics}
+            for message in source.messages(taken - given, end_ns=end_ns):
+                writer.write(*message)
+            for name, content in kept.items():
+                writer.attach(name, content)

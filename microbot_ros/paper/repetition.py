@@ -1,7 +1,7 @@
 """The paper's experiment on simulated particles: three of them, 15 s, two approaches, two solvers.
 
 Beaver, Das & Malikopoulos, "A First-Order Approach to Model Simultaneous Control of Multiple
-Microrobots". Its recording is not available, so the Langevin world stands in for the rig.
+Microrobots". Its recording is not available, so the Langevin world replaces the rig.
 """
 
 from __future__ import annotations
@@ -46,20 +46,20 @@ DURATION = 15.0
 LEGS = (2.0, 6.0)
 STEP = 0.02
 
-# What it does not say, assumed.
+# Assumed, as the paper does not state them; listed on the page (`summary.ASSUMED`).
 FIELD = 5e-3
 MOMENT = MagneticParticle(radius=RADIUS, viscosity=FLUID.viscosity).moment
 CAMERA = Camera(frame_rate=30.0, exposure=1.0, noise=0.1e-6)
 
 APPROACHES = ('own', 'mean', 'true')
-"""The force of each particle's own leg, the mean of the three, and what is really in the world."""
+"""Force of each particle's own leg, mean force of the three, and the true force."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One repetition, drawn by `seed`, with its session.
+    """One repetition drawn by `seed`, with its session.
 
-    `measured` (T, 3, 2) [m] at `times` (T,) [s], and `predicted` by approach; `rmse` (3,) [m] by
+    `measured` (T, 3, 2) [m] at `times` (T,) [s] and `predicted` by approach; `rmse` (3,) [m] by
     approach, of the first-order model, `rmse_stokes` of Newton–Stokes.
     """
 
@@ -72,13 +72,13 @@ class Trial:
     rmse_stokes: dict[str, np.ndarray]
 
     def error(self, approach: str) -> np.ndarray:
-        """Distance (T, 3) [m] of the prediction from what was measured."""
+        """Return the distance (T, 3) [m] of an `approach`'s prediction from the measurement."""
         error: np.ndarray = np.linalg.norm(self.predicted[approach] - self.measured, axis=-1)
         return error
 
 
 def record(seed: int) -> Session:
-    """Three particles of the paper, filmed for 15 s under straight legs, drawn by `seed`."""
+    """Simulate three particles of the paper for 15 s under straight legs, drawn by `seed`."""
     rng = np.random.default_rng(seed)
     made = bodies(
         FLUID, np.full(3, RADIUS), MOMENT, PHI, scatter(rng, 3, 60e-6, 30e-6),
@@ -89,7 +89,7 @@ def record(seed: int) -> Session:
 
 
 def swimmers(force: np.ndarray, phi: np.ndarray) -> list[Particle]:
-    """The paper's spheres with a `force` (N,) [N] and an offset `phi` (N,) [rad] each."""
+    """Return the paper's spheres with a `force` (N,) [N] and an offset `phi` (N,) [rad] each."""
     return [
         Particle(RADIUS, MASS, float(f), float(p), MOMENT)
         for f, p in zip(force, phi, strict=True)]
@@ -98,9 +98,9 @@ def swimmers(force: np.ndarray, phi: np.ndarray) -> list[Particle]:
 def first_order(
     particles: list[Particle], commands: Commands, times: np.ndarray, start: np.ndarray,
 ) -> np.ndarray:
-    """dp/dt = v R(φ) u, exact between commands: positions (T, N, 2) [m].
+    """Solve dp/dt = v R(φ) u, exact between commands; return positions (T, N, 2) [m].
 
-    From `start` (N, 2) [m] at the first of `times` (T,) [s], as all solvers here.
+    All solvers here start at `start` (N, 2) [m] at the first of `times` (T,) [s].
     """
     drag = stokes_drag(FLUID, RADIUS)
     parameters = ParticleParameters(
@@ -112,7 +112,7 @@ def first_order(
 def euler(
     particles: list[Particle], commands: Commands, times: np.ndarray, start: np.ndarray,
 ) -> np.ndarray:
-    """The paper's own method, Euler steps of 0.02 s, read off at `times` from `start`."""
+    """Solve by the paper's method, Euler steps of 0.02 s, at `times` from `start`."""
     grid = np.arange(times[0], times[-1] + STEP, STEP)
     field = commands.field_at(grid[:-1])
     direction = np.arctan2(field[:, 1], field[:, 0])
@@ -131,8 +131,7 @@ def euler(
 def with_rotation(
     particles: list[Particle], commands: Commands, times: np.ndarray, start: np.ndarray,
 ) -> np.ndarray:
-    """Newton–Stokes with rotation at `times` from `start`, headings aligned by the first command.
-    """
+    """Solve Newton–Stokes with rotation at `times` from `start`, aligned to the first command."""
     x, y = commands.field_at(times[0])
     heading = math.atan2(y, x) + np.array([p.phi for p in particles])
     return newton_stokes(FLUID, particles, commands, times, start, heading)[0]
@@ -141,7 +140,7 @@ def with_rotation(
 def stokes(
     particles: list[Particle], commands: Commands, times: np.ndarray, start: np.ndarray,
 ) -> np.ndarray:
-    """The paper's own reduction: Stokes' law, by a stiff solver, at `times` from `start`."""
+    """Solve the paper's own reduction, Stokes' law, by a stiff solver at `times` from `start`."""
     return stokes_translation(FLUID, particles, commands, times, start)
 
 
@@ -155,7 +154,7 @@ SOLVERS: dict[str, Solver] = {
 
 
 def attempt(seed: int) -> Trial:
-    """Record by `seed`, take F and φ from one leg, predict by every approach, compare."""
+    """Record by `seed`, estimate F and φ from one leg, predict by every approach, compare."""
     session = record(seed)
     times, measured = session.tracks.grid()
     legs = one_leg(session)
@@ -175,13 +174,13 @@ def attempt(seed: int) -> Trial:
 
 
 def rmse(path: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Root of the mean squared distance (N,) [m] of a path from the `measured` one, (T, N, 2)."""
+    """Return the root-mean-square distance (N,) [m] of `path` from `measured` (T, N, 2)."""
     result: np.ndarray = np.sqrt(((path - measured) ** 2).sum(axis=-1).mean(axis=0))
     return result
 
 
 def run_times(trial: Trial) -> dict[str, float]:
-    """Median seconds of every solver on one trial, in turns so that noise hits all alike."""
+    """Return the median seconds of every solver on one trial, in turns against shared noise."""
     particles = swimmers(FORCE, PHI)
     spent: dict[str, list[float]] = {name: [] for name in SOLVERS}
     for _ in range(6):
@@ -193,7 +192,7 @@ def run_times(trial: Trial) -> dict[str, float]:
 
 
 def constants() -> dict[str, float]:
-    """Time constants [s], diffusion [m²/s] and distances [m] from the paper's own numbers."""
+    """Return time constants [s], diffusion [m²/s] and distances [m] from the paper's numbers."""
     speeds = speed_from_force(FLUID, np.full(3, RADIUS), FORCE)
     tau = translational_time(FLUID, RADIUS, MASS)
     return {

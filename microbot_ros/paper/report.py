@@ -1,4 +1,4 @@
-"""The page on the repeated experiment, one file, and the two figures in it."""
+"""Page on the repeated experiment, one file, and its two figures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from microbot_ros import __version__
 from microbot_ros.paper.repetition import APPROACHES, FIELD, Trial
 from microbot_ros.paper.summary import PRINTED
 
-# Okabe and Ito's colours, told apart by colour-blind readers; line styles say the same again.
+# Okabe and Ito's colours, safe for colour-blind readers; line styles distinguish them in grey.
 PARTICLES = ('#0072B2', '#D55E00', '#009E73')
 APPROACH = {'own': '#0072B2', 'mean': '#E69F00', 'true': '#666666'}
 LABELS = {'own': 'approach 1: own F', 'mean': 'approach 2: mean F', 'true': 'true F and φ'}
@@ -26,7 +26,7 @@ STYLES = {'own': '-', 'mean': '--', 'true': ':'}
 
 
 def draw_trajectories(trial: Trial) -> Figure:
-    """Measured paths and what both approaches predict, one panel a particle."""
+    """Draw measured paths and the predictions of both approaches, a panel per particle."""
     figure = Figure(figsize=(11, 4.2), layout='constrained')
     axes = figure.subplots(1, 3)
     for i, (axis, colour) in enumerate(zip(axes, PARTICLES, strict=True)):
@@ -45,7 +45,7 @@ def draw_trajectories(trial: Trial) -> Figure:
 
 
 def draw_errors(trials: list[Trial]) -> Figure:
-    """Left: the error over time, median and middle 80 % of all; right: RMSE beside the paper's."""
+    """Draw the error over time (median, middle 80 %) and the RMSE next to the paper's."""
     figure = Figure(figsize=(11, 4.2), layout='constrained')
     over_time, bars = figure.subplots(1, 2)
     _draw_over_time(over_time, trials)
@@ -83,20 +83,19 @@ def _draw_bars(axis: Axes, trials: list[Trial]) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as a PNG."""
+    """Return the figure as a PNG."""
     stream = io.BytesIO()
     figure.savefig(stream, format='png', dpi=130)
     return stream.getvalue()
 
 
 def embedded(picture: bytes) -> str:
-    """A PNG `picture` as an address that a page can hold in itself."""
+    """Return a PNG `picture` as a data address for a self-contained page."""
     return 'data:image/png;base64,' + base64.b64encode(picture).decode()
 
 
 def page(summary: dict[str, Any], trajectories: bytes, errors: bytes) -> str:
-    """The page for a `summary.summarise`; `trajectories` and `errors` are the two figures as PNGs.
-    """
+    """Return the page for a `summary.summarise`; `trajectories` and `errors` are PNGs."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     template = environment.from_string(_TEMPLATE.read_text(encoding='utf-8'))
     stokes, rotation, _, first = summary['run_time_s'].values()

@@ -1,4 +1,4 @@
-"""What the paper reports beside what its repetition gives: numbers only."""
+"""Numbers of the paper and of its repetition."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ ASSUMED = (
 
 
 def summarise(trials: list[Trial], run_times: dict[str, float]) -> dict[str, Any]:
-    """Everything the page says in numbers, ready for JSON; units in the names.
+    """Return all numbers of the page, ready for JSON, with units in the names.
 
-    `run_times` [s] by solver, as `repetition.run_times` gives them.
+    `run_times` [s] by solver, as from `repetition.run_times`.
     """
     by_solver = {
         solver: {a: np.array([getattr(t, kind)[a] for t in trials]) for a in APPROACHES}
@@ -70,7 +70,7 @@ def summarise(trials: list[Trial], run_times: dict[str, float]) -> dict[str, Any
 
 
 def _spread(rmse: np.ndarray) -> dict[str, Any]:
-    """Mean over the trials (R, 3), their standard deviation, and the mean of all [µm]."""
+    """Return mean and standard deviation over trials `rmse` (R, 3), and the mean of all [µm]."""
     rmse = rmse * 1e6
     return {
         'particles': rmse.mean(axis=0).tolist(),
@@ -95,7 +95,7 @@ def _constants() -> dict[str, Any]:
 
 
 def _magnetic_force() -> dict[str, float]:
-    """Of the default rig on the paper's slowest particle, at the corner of a 0.2 mm square."""
+    """Return the force on the paper's slowest particle, at the corner of a 0.2 mm square."""
     particle, coils = MagneticParticle(radius=RADIUS, viscosity=FLUID.viscosity), CoilSet()
     corner = np.array([[0.1e-3, 0.1e-3]])
     speed = force_speed(coils, corner, FIELD, particle)[0]

@@ -1,1 +1,1 @@
-"""Dose and response: speed, turning and slip at each plateau of what was commanded."""
+"""Dose and response: speed, turning and slip at each plateau of a commanded quantity."""

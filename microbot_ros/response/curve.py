@@ -1,4 +1,4 @@
-"""The law of `drive_response` through the plateaus of the robots of one kind."""
+"""Fit of the effect `drive_response` to the plateaus of robots of one kind."""
 
 from __future__ import annotations
 
@@ -13,21 +13,31 @@ from microbot_ros.model.effects.velocity.drive_response import DriveResponse
 from microbot_ros.response.plateaus import Measured
 
 FEWEST_LEVELS = 4
-"""Frequencies from which cut-in and step-out can be told from a constant gain."""
+"""Frequencies needed to separate cut-in and step-out from a constant gain: one per parameter."""
 _ALL_SHAPES = 6
-"""Frequencies from which the steepness of the step-out is fitted, too. That of the cut-in keeps
-its default: plateaus below the cut-in, which would tell it, are hardly ever recorded."""
+"""Choice: frequencies needed to fit the steepness of the step-out as well.
+
+That of the cut-in keeps its default: plateaus below the cut-in, which would determine it, are
+rarely recorded.
+"""
 _LEAST_SCATTER = 0.02
-"""Share of its speed by which a robot departs from any law, at least: slips and rough glass."""
-_GRID, _HALVINGS = 14, 5
+"""Choice: least relative deviation of a robot from any law (slips, rough glass)."""
+_GRID, _HALVINGS = 14, 5  # choices: trial values of a profile, and bisections of its end
 
 
 @dataclass(frozen=True)
 class DriveCurve:
-    """The law fitted to robots of one kind: `effect`, and the `gains` (R,) [m/s/Hz] of its robots.
+    """Law fitted to robots of one kind.
 
-    `cut_in`, `step_out` [Hz] and `slip` with 95 % intervals by profile likelihood, infinite where
-    the data set no bound. `scatter` is the share by which plateaus depart from the law.
+    Attributes
+    ----------
+    effect : DriveResponse
+    gains : (R,) array [m/s/Hz]
+        Gain of each robot.
+    cut_in, step_out, slip : Measured
+        In [Hz], [Hz] and 1, with 95 % profile-likelihood intervals, infinite if unbounded.
+    scatter : float
+        Relative deviation of the plateaus from the law.
     """
 
     effect: DriveResponse
@@ -38,25 +48,34 @@ class DriveCurve:
     scatter: float
 
     def steps_out(self, highest: float) -> bool:
-        """Whether speeds fall below the `highest` frequency [Hz] that was driven.
+        """Return whether the speed falls below the `highest` driven frequency [Hz].
 
-        Else the gain may still fall with frequency: rollers slip.
+        If not, the gain may still fall with frequency: rollers slip.
         """
         speeds = self.speed(np.linspace(highest / 200, highest, 200))
         return bool(speeds[-1] < 0.9 * speeds.max() and self.step_out.high < highest)
 
     def speed(self, frequency: np.ndarray) -> np.ndarray:
-        """Speed [m/s] of a robot of mean gain at each `frequency` [Hz]."""
+        """Return the speed [m/s] of a robot of mean gain at each `frequency` [Hz]."""
         found: np.ndarray = self.gains.mean() * frequency * _factor(self.effect, frequency)
         return found
 
 
 def fit_curve(frequency: np.ndarray, speed: np.ndarray, std: np.ndarray, robot: np.ndarray,
               ) -> DriveCurve | None:
-    """Fit the law to a `speed` ± `std` (N,) [m/s] at each `frequency` (N,) [Hz] of each `robot`.
+    """Fit the law to speeds at driven frequencies; robots share the law and have a gain each.
 
-    `robot` (N,) numbers from 0. Robots share the law and have a gain each. None for fewer than 4
-    frequencies.
+    Parameters
+    ----------
+    frequency : (N,) array [Hz]
+    speed, std : (N,) array [m/s]
+    robot : (N,) int array
+        Index of the robot from 0.
+
+    Returns
+    -------
+    DriveCurve or None
+        None for fewer than 4 frequencies.
     """
     known = np.isfinite(speed) & (frequency > 0)
     frequency, speed, robot = frequency[known], speed[known], robot[known]
@@ -83,7 +102,7 @@ def _factor(effect: DriveResponse, frequency: np.ndarray) -> np.ndarray:
 
 
 class _Fit:
-    """Weighted least squares with the gains solved for and the shape searched."""
+    """Weighted least squares: the gains are solved for, the shape is searched."""
 
     def __init__(self, frequency: np.ndarray, speed: np.ndarray, std: np.ndarray,
                  robot: np.ndarray, robots: int, steepness: bool) -> None:
@@ -93,20 +112,20 @@ class _Fit:
         self._names = ['cut_in', 'slip', 'step_out', 'step_out_steepness'][:4 if steepness else 3]
         self.low = np.array([declared[name].low for name in self._names])
         self.high = np.array([declared[name].high for name in self._names])
-        # A gain that grows beyond the step-out would stand in for any cut-in.
+        # A negative slip (gain growing with frequency) could replace any cut-in.
         self.low[self._names.index('slip')] = 0.0
         self.scatter = 0.1
         self._weight = self._weights(speed)
 
     def _weights(self, expected: np.ndarray) -> np.ndarray:
-        # Where hardly anything moves a share of nothing would be no error at all.
+        # A relative error alone would vanish where robots hardly move.
         floor = np.maximum(np.abs(expected), 0.05 * np.abs(self._speed).max())
         weight: np.ndarray = (self._std**2 + (self.scatter * floor) ** 2) ** -0.5
         return weight
 
     def effect(self, shape: np.ndarray) -> DriveResponse:
         values = dict(zip(self._names, shape.tolist(), strict=True))
-        # A step-out below the cut-in would stand in for the cut-in of a law of its own.
+        # A step-out below the cut-in would act as a second cut-in.
         values['step_out'] = max(values['step_out'], values['cut_in'])
         return DriveResponse(**values)
 
@@ -136,7 +155,7 @@ class _Fit:
 
     def best(self, near: np.ndarray | None = None, fixed: tuple[int, float] | None = None,
              ) -> tuple[np.ndarray, float]:
-        """The best shape and its cost, `near` one or from all starts; one entry may be `fixed`."""
+        """Return the best shape and its cost, started `near` one or everywhere."""
         free = [k for k in range(len(self.low)) if fixed is None or k != fixed[0]]
 
         def whole(part: np.ndarray) -> np.ndarray:
@@ -163,7 +182,7 @@ class _Fit:
                 for corner in corners for slip in (0.1, 0.6)]
 
     def profile(self, k: int, shape: np.ndarray, limit: float) -> Measured:
-        """Entry `k` of the `shape`, and where the cost with it fixed is below a `limit`."""
+        """Return entry `k` of the shape, and where its profile cost is below `limit`."""
         value = float(shape[k])
         ends = []
         for bound in (self.low[k], self.high[k]):
@@ -176,7 +195,7 @@ class _Fit:
                     break
                 inside = float(trial)
             if np.isnan(outside):
-                # A bound of 0 is a bound in itself; any other is only that of the search.
+                # 0 is a physical bound; any other is only the end of the search.
                 ends.append(0.0 if bound == 0 else np.copysign(np.inf, bound - value))
                 continue
             for _ in range(_HALVINGS):

@@ -1,4 +1,4 @@
-"""The figure of a response: speed, distance per turn and slip of every robot, kind by kind."""
+"""Figure of a response: speed, distance per turn and slip of every robot, by kind."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from matplotlib.figure import Figure
 from microbot_ros.response.result import Group, Response, Row
 from microbot_ros.response.words import COLUMNS
 
-# Okabe and Ito's colours: told apart by all eyes, and in grey by their line styles.
+# Okabe and Ito's colours, safe for colour-blind readers; line styles distinguish them in grey.
 _MEAN, _LAW, _CUT_IN, _STEP_OUT, _ROBOT = '#0072B2', '#D55E00', '#009E73', '#CC79A7', '#8a8a8a'
 _STYLE: dict[Any, Any] = {'font.size': 8, 'axes.linewidth': 0.6, 'axes.spines.top': False,
           'axes.spines.right': False, 'xtick.major.width': 0.6, 'ytick.major.width': 0.6,
           'legend.frameon': False, 'legend.fontsize': 7, 'svg.fonttype': 'none'}
-_WIDEST_ANGLE = np.radians(60)
+_WIDEST_ANGLE = np.radians(60)  # choice: slip angles with a wider 95 % interval are not drawn
 _WIDTH, _HEIGHT = 7.2, 2.3
-"""Inches: two columns of a journal, a row of panels for each kind."""
+"""Size in inches: two columns of a journal, and a row of panels per kind."""
 
 
 def draw(found: Response) -> Figure:
@@ -92,7 +92,7 @@ def _draw_robot(found: Response, rows: list[Row], axes: Sequence[Axes], label: s
         axes[1].plot(x, speed / x, **style)
     else:
         axes[1].plot(x, [one.across.value * 1e6 for one in plateaus], **style)
-    # An angle of what hardly moves says nothing.
+    # The slip angle of a robot that hardly moves is not determined.
     known = [one for one in plateaus if one.slip.high - one.slip.low < _WIDEST_ANGLE]
     if found.definition == 'motion' and known:
         axes[2].plot(np.array([one.level for one in known]) * factor,
@@ -108,7 +108,7 @@ def _limit_angles(axis: Axes, rows: list[Row]) -> None:
 
 
 def _draw_law(group: Group, axes: Sequence[Axes]) -> None:
-    """The law of drive_response, its cut-in and its step-out."""
+    """Draw the fitted law, its cut-in and its step-out."""
     curve = group.curve
     if curve is None:
         return

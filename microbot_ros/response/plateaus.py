@@ -1,8 +1,8 @@
-"""Motion of each particle at each plateau of a command, with its 95 % intervals.
+"""Motion of each particle at each plateau of a command, with 95 % intervals.
 
-`motion`: displacements between frames, turned into the frame of the command, over the stretches
-in which nothing changes. Blocks of half a second are the independent samples; where neighbours
-are alike all the same, the number of samples is reduced accordingly.
+`motion`: displacements between frames, rotated into the frame of the command, over the stretches
+without a change. Blocks of half a second are the independent samples; if neighbours are still
+correlated, the number of samples is reduced accordingly.
 
 `tables`: the mean, over all rows of a plateau, of the speed that a laboratory's tables state: the
 length of the displacement over some frames, divided by a time, whatever happens in between.
@@ -24,33 +24,35 @@ Against = Literal['frequency', 'field', 'tilt']
 Definition = Literal['motion', 'tables']
 
 SETTLE_S = 0.3
-"""Frames within this [s] of a change are left out: twice the delay of 0.09 to 0.15 s of cameras
-and amplifiers. At half, the delay is inside; at twice, plateaus of 1.5 s lose 40 % of them."""
+"""Choice: frames within this time [s] of a change are left out, twice the 0.09 to 0.15 s delay of
+cameras and amplifiers. At half, the delay is included; at twice, plateaus of 1.5 s lose 40 %.
+"""
 TURN = np.radians(10.0)
-"""Frames are left out in which the direction has turned by more [rad] within `SETTLE_S`. The
-speed along the command is then off by at most 1.5 %."""
+"""Choice: frames are left out if the direction turned by more [rad] within `SETTLE_S`. The speed
+along the command is then off by at most 1.5 % (1 − cos 10°).
+"""
 BLOCK_S = 0.5
-"""Length [s] of a sample. Samples that are alike all the same are counted as fewer."""
-_MOST_ALIKE = 0.8
+"""Choice: length of a sample [s]. Correlated samples count as fewer."""
+_MOST_ALIKE = 0.8  # choice: largest correlation of samples that is taken into account
 _LONGEST_GAP = 3.0
-"""Steps over more than as many frames are gaps."""
+"""Choice: steps longer than this many frame intervals are gaps."""
 _LEAP = 8.0
-"""Steps longer than as many times the step that 95 of 100 stay below are leaps."""
-_DELAYS = np.arange(0.0, 0.51, 0.02)
+"""Choice: steps longer than this many times the 95th percentile are tracking errors."""
+_DELAYS = np.arange(0.0, 0.51, 0.02)  # choice: delays [s] tried, up to three times the usual
 _STILL_SHARE = 0.2
-"""Share of the driven frames in which the direction must stand for them to be used alone."""
-_PRIOR_FREEDOM = 4.0
+"""Choice: share of the driven frames with constant direction from which only they are used."""
+_PRIOR_FREEDOM = 4.0  # choice: weight of the usual scatter in degrees of freedom (Smyth 2004)
 _FEWEST_PLATEAUS = 3
-"""Plateaus from which the usual scatter of a particle is known."""
+"""Choice: plateaus needed to determine the usual scatter of a particle."""
 _DEFAULT_WINDOW = SpeedWindow(15, 'elapsed')
-"""Window of the tables' definition where a session names none: that of the MagScope tracker."""
+"""Window of the tables if a session names none: that of the MagScope tracker."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A `value` with its standard deviation `std` and its 95 % interval from `low` to `high`.
+    """Estimate with standard deviation `std` and 95 % interval from `low` to `high`.
 
-    NaN where it is unknown, infinite where there is no bound.
+    NaN if unknown, infinite if unbounded. The estimate is `value`.
     """
 
     value: float = np.nan
@@ -61,12 +63,28 @@ class Measured:
 
 @dataclass(frozen=True)
 class Plateau:
-    """Motion of one `particle` of a `session` at one `level` of what was commanded, in SI.
+    """Motion of one particle at one level of the commanded quantity, in SI.
 
-    `speed` [m/s] is along the command for `motion` and as the tables state it for `tables`;
-    `across` [m/s] is to the left of the command, `slip` [rad] the angle from the command to the
-    motion, `turning` [rad/s] its rate. `frames` were used in `visits` of the plateau that last
-    `seconds` together, and count as `n` independent samples; `left_out` frames were not used.
+    Attributes
+    ----------
+    session : str
+    particle : int
+    level : float
+        |f| [Hz], |B| [T] or tilt [rad].
+    speed : Measured [m/s]
+        Along the command for `motion`, as tables state it for `tables`.
+    across : Measured [m/s]
+        To the left of the command.
+    slip : Measured [rad]
+        Angle from the command to the motion.
+    turning : Measured [rad/s]
+        Rate of the slip angle.
+    n : float
+        Equivalent number of independent samples.
+    frames, visits, left_out : int
+        Frames used, stretches of this level, frames not used.
+    seconds : float
+        Total duration of the frames used [s].
     """
 
     session: str
@@ -85,7 +103,7 @@ class Plateau:
 
 @dataclass(frozen=True)
 class SessionResponse:
-    """Plateaus of a session, the `delay` [s] of its commands, and `notes` on what was left out."""
+    """Plateaus of a session, the `delay` [s] of its commands, and `notes` on omitted data."""
 
     plateaus: list[Plateau]
     delay: float
@@ -93,9 +111,9 @@ class SessionResponse:
 
 
 def levels(commands: Commands, against: Against) -> np.ndarray:
-    """The level (K,) of each command: |f| [Hz], |B| [T] or the tilt of the axis [rad].
+    """Return the level (K,) of each command; NaN if nothing is driven.
 
-    `against` says which. NaN where nothing is driven.
+    `against` selects |f| [Hz], |B| [T] or the tilt of the axis [rad].
     """
     strength = np.hypot(*commands.field.T)
     driven = strength > 0
@@ -107,15 +125,15 @@ def levels(commands: Commands, against: Against) -> np.ndarray:
         'field': strength,
         'tilt': np.full(len(commands.t), np.pi / 2) if commands.tilt is None else commands.tilt,
     }[against]
-    # Levels are what people set: to six digits they are the same.
+    # Users set levels; equal to six digits means the same level.
     return np.where(driven, _six_digits(values), np.nan)
 
 
 def respond(session: Session, against: Against, definition: Definition) -> SessionResponse:
-    """Motion of every particle of a `session` at every level of what it is held `against`.
+    """Measure the motion of each particle of a `session` at each level of the quantity `against`.
 
-    `definition` says how speed is measured. For motion what else was commanded is held at its
-    most common value; other stretches are left out. A session without any plateau has none.
+    `definition` selects how speed is measured. For `motion`, stretches in which another commanded
+    quantity is not at its most common value are left out. The result may have no plateaus.
     """
     commands = session.commands
     if not len(commands.t):
@@ -148,7 +166,7 @@ def respond(session: Session, against: Against, definition: Definition) -> Sessi
 
 @dataclass(frozen=True)
 class _Steps:
-    """Steps between frames of one particle: from `start` to `end` [s], by `moved` (complex, m)."""
+    """Steps between frames of one particle, from `start` to `end` [s] by `moved` (complex) [m]."""
 
     start: np.ndarray
     end: np.ndarray
@@ -161,7 +179,7 @@ class _Steps:
 
 @dataclass(frozen=True)
 class _Block:
-    """Mean velocity in the frame of the command (complex, m/s) over `seconds` from `start` on."""
+    """Mean velocity in the frame of the command (complex) [m/s] over `seconds` from `start`."""
 
     level: float
     stretch: int
@@ -177,7 +195,7 @@ def _six_digits(values: np.ndarray) -> np.ndarray:
 
 def _others_held(commands: Commands, level: np.ndarray, against: Against, end: float,
                  ) -> tuple[np.ndarray, list[str]]:
-    """The `level` (K,), NaN where another quantity is not at its most common value, and notes."""
+    """Set `level` to NaN where another quantity is not at its most common value, with notes."""
     notes = []
     lasts = np.clip(np.append(commands.t[1:], end) - commands.t, 0, None)
     units = {'frequency': ('rotation', 'Hz', 1.0), 'field': ('field', 'mT', 1e3),
@@ -210,12 +228,12 @@ def _steps(track: Tracks) -> _Steps:
 
 
 def _at(values: np.ndarray, commands: Commands, t: np.ndarray) -> np.ndarray:
-    """`values` (K,) of the commands at times `t`; NaN before the first."""
+    """Return `values` (K,) of the commands at times `t`; NaN before the first."""
     return np.append(np.nan, values)[commands.index_at(t) + 1]
 
 
 def _directions(commands: Commands) -> np.ndarray:
-    """Unit vectors (K,) of where the commands lead, complex; 0 where nothing is driven."""
+    """Return complex unit vectors (K,) of the commanded motion; 0 if nothing is driven."""
     z = commands.field @ np.array([1, 1j])
     if commands.frequency is not None:
         z = z * np.sign(commands.frequency)
@@ -224,7 +242,7 @@ def _directions(commands: Commands) -> np.ndarray:
 
 
 def _delay(commands: Commands, steps: list[_Steps]) -> float:
-    """Delay [s] of the commands at which the motion follows them best; the least among equals."""
+    """Return the delay [s] at which motion follows the commands best, the smallest of equals."""
     unit = np.append(0, _directions(commands))
     scores = np.zeros(len(_DELAYS))
     for one in steps:
@@ -235,10 +253,10 @@ def _delay(commands: Commands, steps: list[_Steps]) -> float:
 
 
 def _still(commands: Commands, steps: _Steps) -> np.ndarray:
-    """Whether neither drive nor direction has changed shortly before or during each step."""
+    """Return whether neither drive nor direction changed shortly before or during each step."""
     first = commands.index_at(steps.start - SETTLE_S)
     last = commands.index_at(steps.end)
-    # A command that is given in the very moment of the last frame acts after it.
+    # A command at exactly the time of the last frame acts after it.
     last = np.where((last > first) & (commands.t[np.maximum(last, 0)] == steps.end),
                     last - 1, last)
     direction, drive = _directions(commands), _drive(commands)
@@ -251,18 +269,18 @@ def _still(commands: Commands, steps: _Steps) -> np.ndarray:
 
 
 def _drive(commands: Commands) -> np.ndarray:
-    """Size of the drive of each command (K,): a change of it is a change of plateau."""
+    """Return the size of the drive of each command (K,); its change starts a new plateau."""
     size = np.hypot(*commands.field.T)
     return size if commands.frequency is None else size * 1e6 + np.abs(commands.frequency)
 
 
 def _blocks(commands: Commands, level: np.ndarray, steps: _Steps, use: np.ndarray, delay: float,
             ) -> list[_Block]:
-    """Samples of half a second from the steps in `use`, within stretches of one level."""
+    """Return samples of half a second from the steps in `use`, within stretches of one level."""
     unit = np.append(0, _directions(commands))
     at = _at(level, commands, steps.middle)
     lead = unit[commands.index_at(steps.middle - delay) + 1]
-    # Just after a change the delayed command may still be none.
+    # Just after a change the delayed command may still be zero.
     lead = np.where(lead == 0, unit[commands.index_at(steps.middle) + 1], lead)
     velocity = steps.moved * lead.conj()
     lasts = steps.end - steps.start
@@ -281,7 +299,7 @@ def _blocks(commands: Commands, level: np.ndarray, steps: _Steps, use: np.ndarra
 
 
 def _alike(blocks: list[list[_Block]]) -> float:
-    """Correlation of neighbouring samples about their means, from 0 to 0.8."""
+    """Return the correlation of neighbouring samples about their means, from 0 to 0.8."""
     product, power = 0.0, 0.0
     for own in blocks:
         means = {level: np.mean([b.velocity for b in own if b.level == level])
@@ -316,7 +334,7 @@ def _of_particle(session: Session, name: int, commands: Commands, level: np.ndar
 
 
 def _usual_scatter(samples: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Usual standard deviation of a sample as a share of its mean; NaN where few tell it."""
+    """Return the median relative standard deviation of samples; NaN for too few plateaus."""
     shares = []
     for values, weight in samples:
         mean = (weight * values).sum() / weight.sum()
@@ -328,11 +346,11 @@ def _usual_scatter(samples: list[tuple[np.ndarray, np.ndarray]]) -> float:
 
 
 def _measured(values: np.ndarray, weight: np.ndarray, n: float, usual: float = np.nan) -> Measured:
-    """Weighted mean of `values` (n,) that count as `n` independent ones.
+    """Return the weighted mean of `values` that count as `n` independent ones.
 
     Their variance is estimated together with that of the particle's other plateaus, whose `usual`
-    standard deviation counts as 4 degrees of freedom (Smyth 2004): of two samples alone nothing
-    could be said.
+    standard deviation counts as 4 degrees of freedom (Smyth 2004): two samples alone determine
+    none.
     """
     mean = float((weight * values).sum() / weight.sum())
     own = max(n - 1, 0.0) if len(values) > 1 else 0.0
@@ -350,7 +368,7 @@ def _measured(values: np.ndarray, weight: np.ndarray, n: float, usual: float = n
 
 
 def _slip(mean: complex, across: Measured) -> Measured:
-    """Angle of the `mean` velocity from the command, with the error that `across` has."""
+    """Return the angle of the `mean` velocity from the command, with the error of `across`."""
     angle = float(np.angle(mean))
     if not abs(mean) > 0:
         return Measured()
@@ -361,7 +379,7 @@ def _slip(mean: complex, across: Measured) -> Measured:
 
 
 def _turning(blocks: list[_Block]) -> Measured:
-    """Rate at which the motion turns away from the command within stretches."""
+    """Return the rate at which the motion turns from the command within stretches."""
     rates = [
         (float(np.angle(later.velocity * np.conj(one.velocity))), later.start - one.start)
         for one, later in pairwise(blocks)
@@ -369,13 +387,13 @@ def _turning(blocks: list[_Block]) -> Measured:
     if not rates:
         return Measured()
     angle, lasts = np.array(rates).T
-    # Neighbouring differences share a block; over a stretch they telescope.
+    # Neighbouring differences share a block, so only half of them are independent.
     return _measured(angle / lasts, lasts, max(len(rates) / 2, 1.0))
 
 
 def _by_window(session: Session, name: int, level: np.ndarray, window: SpeedWindow,
                ) -> Iterator[Plateau]:
-    """Plateaus of a particle by the speeds that tables with that `window` state."""
+    """Yield plateaus of a particle from the speeds that tables with that `window` state."""
     track = session.tracks.of(name)
     frames = window.frames
     if len(track.t) <= frames:

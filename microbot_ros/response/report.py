@@ -1,4 +1,4 @@
-"""Files of a response: CSV, Parquet, JSON, figures and a page that stands alone."""
+"""Files of a response: CSV, JSON, figures and a self-contained page."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _PARTS = {'': 'value', '_std': 'std', '_low_95': 'low', '_high_95': 'high'}
 
 
 def rows(found: Response) -> list[dict[str, Any]]:
-    """A row for every robot and level of the response `found`, in the units of the names.
+    """Return a row for every robot and level of the response `found`, in the units of the names.
 
-    None for what is not known.
+    Unknown values are None.
     """
     return [_row(found, row) for row in found.rows]
 
@@ -46,7 +46,7 @@ def _row(found: Response, row: Row) -> dict[str, Any]:
 
 
 def as_json(found: Response) -> dict[str, Any]:
-    """The response `found` as `response.json`; null for what is not known."""
+    """Return the response `found` as `response.json`; null if unknown."""
     return {
         'sentence': words.summary(found), 'against': found.against,
         'definition': found.definition, 'difference': words.difference(found),
@@ -99,9 +99,7 @@ def _finite(value: float) -> float | None:
 
 
 def write(found: Response, folder: Path) -> None:
-    """Write `response.csv`, `.json`, `.png`, `.pdf` and `.html` of what was `found` into a
-    `folder`.
-    """
+    """Write `response.csv`, `.json`, `.png`, `.pdf` and `.html` of `found` into `folder`."""
     table = rows(found)
     (folder / 'response.csv').write_text(_csv(table), encoding='utf-8')
     text = json.dumps(as_json(found), indent=1, ensure_ascii=False, allow_nan=False)
@@ -123,8 +121,7 @@ def _csv(table: list[dict[str, Any]]) -> str:
 
 
 def page(found: Response, figure: str) -> str:
-    """The response `found` as HTML that needs nothing else, with its `figure` as a data address.
-    """
+    """Return the response `found` as self-contained HTML, with its `figure` as a data address."""
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {'number': report_words.number}

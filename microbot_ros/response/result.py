@@ -1,4 +1,4 @@
-"""Responses of many sessions together: by robot, by kind and by day."""
+"""Responses of many sessions: by robot, by kind and by day."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from microbot_ros.response.plateaus import (
 )
 
 _FALLS = 0.9
-"""Share of its highest speed above which a robot at its last level has not stepped out."""
+"""Choice: share of its top speed above which a robot at its last level has not stepped out."""
 _FEWEST_ROBOTS = 4
-"""Robots from which one can be unlike the others."""
+"""Choice: robots needed to call one of them unlike the others."""
+# Choices: a robot is unlike the others if its speed differs by this factor and by this many usual
+# spreads; objectives differ by factors of 2, robots of one kind by 20 %.
 _UNLIKE = 1.5
 _UNLIKE_SPREADS = 4.0
-"""A robot is unlike the others by this factor and by as many usual spreads: objectives differ by
-factors of 2, robots of one kind by 20 %."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Labelled:
 
 @dataclass(frozen=True)
 class Row:
-    """A plateau and the `kind`, `day` and `rig` of its session; '' where unknown."""
+    """A plateau with the `kind`, `day` and `rig` of its session; '' if unknown."""
 
     plateau: Plateau
     kind: str
@@ -51,13 +51,13 @@ class Row:
 
     @property
     def robot(self) -> tuple[str, int]:
-        """The robot: a particle of a session."""
+        """Robot: session and particle."""
         return self.plateau.session, self.plateau.particle
 
 
 @dataclass(frozen=True)
 class Level:
-    """Mean `speed` of `robots` at a `level`, and the standard deviation `between` robots."""
+    """Mean `speed` of `robots` at a `level`, and the standard deviation `between` robots [m/s]."""
 
     level: float
     speed: Measured
@@ -69,8 +69,8 @@ class Level:
 class Group:
     """Robots of one `kind`, of one `day` or of all ('').
 
-    The `curve` is that of `drive_response`, None where it was not fitted; `stepping_out` are the
-    robots whose own speeds fall within the frequencies driven, with their own step-outs [Hz].
+    `curve` is the fitted `drive_response`, None if not fitted; `stepping_out` maps the robots
+    whose own speeds fall within the driven frequencies to their step-outs [Hz].
     """
 
     kind: str
@@ -82,9 +82,9 @@ class Group:
 
     @property
     def common(self) -> list[Level]:
-        """The levels at which at least half of the robots were driven.
+        """Levels at which at least half of the robots were driven; all levels if there are none.
 
-        A mean over few robots beside one over all would show who was there.
+        A mean over few robots next to one over all would show differences between robots.
         """
         return [one for one in self.levels if 2 * one.robots >= len(self.robots)] or self.levels
 
@@ -106,11 +106,11 @@ class Unlike:
 
 @dataclass(frozen=True)
 class Response:
-    """What the sessions say of speed `against` a command, by a `definition`.
+    """Speeds in all sessions `against` a commanded quantity, by a `definition` of speed.
 
     `rows` one per robot and level; `kinds` and `days` (of each kind) are groups; `unlike` robots;
-    `compared` {kind: [(level, ratio of tables to motion)]}; `notes` {session: sentences};
-    `delays` {session: delay [s]}; `without` are sessions that have no plateau.
+    `compared` {kind: [(level, speed in tables over that of motion)]}; `notes` {session:
+    sentences}; `delays` {session: delay [s]}; `without` names sessions without a plateau.
     """
 
     against: Against
@@ -127,7 +127,7 @@ class Response:
 
 def respond_all(sessions: Sequence[Labelled], against: Against, definition: Definition,
                 ) -> Response:
-    """The response of all `sessions` `against` what was commanded, by a `definition` of speed."""
+    """Combine all `sessions` `against` a commanded quantity, by a `definition` of speed."""
     rows, notes, delays, without = [], {}, {}, []
     both: dict[Definition, list[Row]] = {'motion': [], 'tables': []}
     for one in sessions:
@@ -185,7 +185,7 @@ def _curve(rows: list[Row], robots: list[tuple[str, int]]) -> DriveCurve | None:
 
 
 def _level(level: float, speeds: list[Measured]) -> Level | None:
-    """Mean and spread of the `speeds` of robots at a `level`, by random effects."""
+    """Return mean and spread of the `speeds` of robots at a `level`, by random effects."""
     value = np.array([one.value for one in speeds])
     std = np.array([one.std for one in speeds])
     found = spread(value, std)
@@ -198,7 +198,7 @@ def _level(level: float, speeds: list[Measured]) -> Level | None:
 
 
 def _unlike(group: Group, rows: list[Row]) -> list[Unlike]:
-    """Robots of a group whose speeds are a multiple of those of the others."""
+    """Return the robots of a group whose speeds are a multiple of those of the others."""
     own = [row for row in rows if row.kind == group.kind]
     ratios: dict[tuple[str, int], float] = {}
     for robot in group.robots:
@@ -221,7 +221,7 @@ def _unlike(group: Group, rows: list[Row]) -> list[Unlike]:
 
 
 def _ratios(kind: str, both: dict[Definition, list[Row]]) -> list[tuple[float, float]]:
-    """(level, median ratio of the tables' speed to that of motion) over the robots of a kind."""
+    """Return (level, median ratio of table speed to motion speed) over the robots of a kind."""
     speeds: dict[Definition, dict[tuple[tuple[str, int], float], float]] = {
         name: {(row.robot, row.plateau.level): row.plateau.speed.value
                for row in rows if row.kind == kind} for name, rows in both.items()}

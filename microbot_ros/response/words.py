@@ -1,4 +1,4 @@
-"""The response in sentences, for people."""
+"""Sentences about a response, for people."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from microbot_ros.discovery.report.words import number
 from microbot_ros.response.plateaus import SETTLE_S, TURN, Against, Measured
 from microbot_ros.response.result import Group, Response, Unlike
 
-_LISTED = 4
+_LISTED = 4  # choice: step-outs listed one by one; more are given as a range
 COLUMNS: dict[Against, tuple[str, float, str]] = {
     'frequency': ('frequency_hz', 1.0, 'Hz'), 'field': ('field_mT', 1e3, 'mT'),
     'tilt': ('tilt_deg', 180 / np.pi, '°')}
@@ -16,7 +16,7 @@ COLUMNS: dict[Against, tuple[str, float, str]] = {
 
 
 def summary(found: Response) -> str:
-    """What was found, in one sentence."""
+    """Return the result in one sentence."""
     if not found.kinds:
         return 'No plateau of what was commanded was found.'
     return '; '.join(_of_kind(found, group) for group in found.kinds) + '.'
@@ -68,7 +68,7 @@ def _speed(value: float) -> str:
 
 
 def difference(found: Response) -> str:
-    """Why `motion` and `tables` differ, with the numbers of this data; '' where neither holds."""
+    """Return why `motion` and `tables` differ, with the numbers of this data; '' without both."""
     ratios = [(level, ratio, kind) for kind, of in found.compared.items() for level, ratio in of]
     if not ratios:
         return ''
@@ -88,7 +88,7 @@ def difference(found: Response) -> str:
 
 
 def exclusions(found: Response) -> list[str]:
-    """What was left out or modelled."""
+    """Return sentences on data that were left out or modelled."""
     said = []
     if found.definition == 'motion':
         used = sum(row.plateau.frames for row in found.rows)
@@ -114,7 +114,7 @@ def exclusions(found: Response) -> list[str]:
 
 
 def unlike(one: Unlike) -> str:
-    """A sentence on a robot that is unlike the others of its kind."""
+    """Return a sentence on a robot that is unlike the others of its kind."""
     session, particle = one.robot
     of = f' of {one.kind}' if one.kind else ''
     return (f'{session}, robot {particle}, moves at {one.ratio:.2g} times the speed of the others'

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from fractions import Fraction
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -55,12 +56,13 @@ def draw_overlay(
 class OverlayVideo:
     """A film of overlays: H.264 in MP4, which browsers and players show.
 
-    `size` is the height and width of the frames [px], `frame_rate` that of the film [Hz],
-    `radius_px` as in `draw_overlay`.
+    `path`: a file, or a pipe, which gets a part of the film every half second. `size` is the
+    height and width of the frames [px], `frame_rate` that of the film [Hz], `radius_px` as in
+    `draw_overlay`.
     """
 
     def __init__(
-        self, path: Path, size: tuple[int, int], frame_rate: float, radius_px: float
+        self, path: Path | BinaryIO, size: tuple[int, int], frame_rate: float, radius_px: float
     ) -> None:
         import av
 
@@ -69,7 +71,9 @@ class OverlayVideo:
         scale = min(1.0, _WIDEST / size[1])
         # The colours of H.264 want even sides.
         self._size = tuple(int(side * scale) // 2 * 2 for side in reversed(size))
-        self._file = av.open(str(path), 'w', format='mp4')
+        self._file = av.open(str(path), 'w', format='mp4') if isinstance(path, Path) else av.open(
+            path, 'w', format='mp4', options={
+                'movflags': 'empty_moov+default_base_moof', 'frag_duration': '500000'})
         self._stream = self._file.add_stream(
             'libx264', Fraction(frame_rate).limit_denominator(1000),
             options={'preset': 'veryfast', 'crf': '24'})

@@ -1,7 +1,7 @@
-"""The record of one simulated particle: its state, what it is, and what disturbs it.
+"""Record of one simulated particle: state, properties and disturbances.
 
-Every disturbance the simulated world knows is a column with a null value, so that each
-particle can have its own strength of each. All values are SI.
+Every disturbance of the simulated world is a column with a null value, so that each particle can
+have its own strength of each. All values are SI.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from microbot_ros.model.physics.particle import (
     translational_diffusion,
 )
 
-# Column → value at which it changes nothing. The state and the sphere itself come first.
+# Column → value without effect. State and properties of the sphere come first.
 _NULL_VALUES = {
     'x': 0.0, 'y': 0.0, 'heading': 0.0, 'phi': 0.0, 'fuel': 1.0,
     'radius': 0.0, 'drag': 1.0, 'turn_drag': 1.0, 'diffusion': 0.0, 'rotational_diffusion': 0.0,
@@ -41,7 +41,7 @@ _NULL_VALUES = {
     'pusher': 0.0, 'stir': 0.0,
     # camera
     'aspect': 1.0, 'jump_time': math.inf, 'jump_x': 0.0, 'jump_y': 0.0,
-    # in nobody's library of effects
+    # not in the library of effects
     'channel_speed': 0.0, 'channel_half_width': 1.0, 'spin': 0.0, 'uphill_length': math.inf,
     'pulse_depth': 0.0, 'pulse_frequency': 0.0, 'facing': 0.0, 'dim_time': math.inf,
     'dim_factor': 1.0, 'wobble_angle': 0.0, 'wobble_frequency': 0.0,
@@ -50,7 +50,7 @@ _NULL_VALUES = {
 }
 
 BODY = np.dtype([(name, np.float64) for name in _NULL_VALUES])
-"""One particle; columns in the order in which the chain from amplifier to camera meets them."""
+"""One particle; columns in the order of the chain from amplifier to camera."""
 
 
 def bodies(
@@ -64,10 +64,20 @@ def bodies(
     gain: np.ndarray | float = 0.0,
     heading: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Undisturbed particles (N,) of type BODY, with Stokes' drag and Einstein's diffusion.
+    """Return undisturbed particles (N,) of type BODY, with Stokes drag and Einstein diffusion.
 
-    `radius` (N,) [m], `moment` [A·m²], `phi` (N,) [rad], `position` (N, 2) [m], `heading` [rad];
-    `speed` [m/s] of a swimmer with full fuel; `gain` [m/s/Hz] of a roller.
+    Parameters
+    ----------
+    fluid : Fluid
+    radius : (N,) array [m]
+    moment : (N,) array or float [A·m²]
+    phi : (N,) array [rad]
+    position : (N, 2) array [m]
+    speed : (N,) array or float [m/s]
+        Of a swimmer with full fuel.
+    gain : (N,) array or float [m/s/Hz]
+        Of a roller.
+    heading : (N,) array or float [rad]
     """
     radius = np.asarray(radius, dtype=float)
     result = np.empty(len(radius), BODY)

@@ -1,4 +1,4 @@
-"""A simulated world that the loop steers, frame by frame, as fast as the machine can."""
+"""Simulated world steered by the loop, frame by frame, as fast as the machine allows."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from microbot_ros.virtual_rig.world import FieldHistory, World
 _log = logging.getLogger(__name__)
 
 _KEPT_S = 2.0
-"""How far back the physics looks for a field: the longest delay that an effect has, and more."""
+"""Choice: fields of this time [s] are kept, more than the longest delay of an effect."""
 
 
 class LoopFeedback:
-    """`loop`, armed, in place of a feedback law: the positions of a frame are its particles.
+    """An armed `loop` as feedback law: the positions of a frame are its particles.
 
-    `noise` [m] is the standard deviation that it is told for each coordinate. The amplifier is
-    perfect: it reads back what it was commanded, at once.
+    `noise` [m] is the standard deviation of each coordinate given to the loop. The amplifier is
+    ideal: it reads back the command at once.
     """
 
     def __init__(self, loop: Loop, noise: float) -> None:
@@ -41,27 +41,25 @@ class LoopFeedback:
         self.loop = _armed(loop)
 
     def __call__(self, t: float, seen: np.ndarray) -> np.ndarray:
-        """The field (2,) [T] after a frame at `t` [s] with positions `seen` (N, 2) [m], NaN where
-        one was missed.
-        """
+        """Return the field (2,) [T] after a frame at `t` [s] with positions `seen` (N, 2) [m]."""
         rows = np.flatnonzero(np.isfinite(seen).all(axis=1))
         particles = particles_at(rows, seen[rows], self._noise)
         return self.loop.measured(self.loop.steer(particles, t).currents, t)
 
 
 def make_feedback(scenario: Scenario, source: str) -> LoopFeedback:
-    """The loop that the `controller` of a `scenario` asks for.
+    """Return the loop with the `controller` of a `scenario`.
 
-    InputError, naming `source`, where it cannot be.
+    Raises InputError naming `source` if that is impossible.
     """
     return LoopFeedback(_make_loop(scenario, source), scenario.camera.localisation_um * 1e-6)
 
 
 def film(scenario: Scenario, world: World, source: str) -> Session:
-    """Steer a `world` by pictures of it, as the `controller` of a `scenario` asks for.
+    """Steer a `world` by its pictures with the `controller` of a `scenario`.
 
-    The session holds what the loop's tracker found. InputError, naming `source`, where the loop
-    cannot be.
+    The session holds the tracks of the loop's tracker. Raises InputError naming `source` if the
+    loop is impossible.
     """
     loop = _armed(_make_loop(scenario, source))
     view = MicroscopeSettings(radius_um=scenario.radius_um)
@@ -79,7 +77,7 @@ def film(scenario: Scenario, world: World, source: str) -> Session:
 
 
 def tell_fault(loop: Loop, source: str) -> None:
-    """Warn of a `loop` whose gate has cut the currents, in the scenario `source`."""
+    """Log a warning if the gate of `loop` cut the currents in the scenario `source`."""
     if fault := loop.gate.fault:
         _log.warning('%s: the gate cut the currents, %s: %s', source, fault.reason.value,
                      fault.detail)

@@ -1,7 +1,4 @@
-"""How the field of the rig's coils changes from place to place, tabulated by Biot and Savart.
-
-So are the moments that this pulls at a given rate at the centre.
-"""
+"""Table of the field gradients of the rig's coils, by Biot and Savart, and moments for rates."""
 
 from __future__ import annotations
 
@@ -12,22 +9,22 @@ import numpy as np
 from microbot_ros.magnetics import Allocator, CoilSet
 
 SPACING = 0.25e-3
-"""Between the places of the table, either way [m]."""
+"""Choice: spacing of the table [m], 1/120 of the distance to the coils."""
 
 _REACH = 20
-"""Places from the centre to an edge of the table."""
+"""Choice: points from the centre to an edge of the table, ±5 mm."""
 
 _NEAR = 1e-6
-"""So near the centre the gradient of a pair is proportional to the distance [m]."""
+"""Choice: distance [m] at which the gradient of a pair is still proportional to it."""
 
 
 @cache
 def coil_gradients() -> np.ndarray:
-    """Gradients over the field at the centre (2, K, K, 3) [1/m], of the default coils.
+    """Return gradients over the field at the centre, (2, K, K, 3) [1/m], of the default coils.
 
-    First of the two coils on the x axis, driven as for a field along x; then of the one at +x
-    alone. At the place x (second axis), y (third), K of them about the centre, `SPACING` apart:
-    ∂Bx/∂x, ∂Bx/∂y = ∂By/∂x and ∂By/∂y.
+    The first axis is the pair of coils on the x axis, driven for a field along x, and the coil at
+    +x alone; then position x and y, K each about the centre, `SPACING` apart; last ∂Bx/∂x, ∂Bx/∂y
+    = ∂By/∂x and ∂By/∂y.
     """
     line = SPACING * np.arange(-_REACH, _REACH + 1)
     places = np.stack(np.meshgrid(line, line, indexing='ij'), axis=-1)
@@ -36,21 +33,21 @@ def coil_gradients() -> np.ndarray:
 
 @cache
 def pull_of_pair() -> float:
-    """B''/2B at the centre, on the axis of a pair of coils [1/m²].
+    """Return B''/2B [1/m²] at the centre, on the axis of a pair of coils.
 
-    A moment over drag, in m²/(T s), times this is the rate of a `gradient_force`.
+    Times a moment over drag [m²/(T s)] it is the rate of a `gradient_force`.
     """
     return float(_along_x(np.array([[_NEAR, 0.0]]))[0, 0, 0] / (2 * _NEAR))
 
 
 @cache
 def pull_of_coil() -> float:
-    """B'/B at the centre, towards the only coil that is driven [1/m]; the same for `coil_pull`."""
+    """Return B'/B [1/m] at the centre, towards the only driven coil, for `coil_pull`."""
     return float(_along_x(np.zeros((1, 2)))[1, 0, 0])
 
 
 def _along_x(places: np.ndarray) -> np.ndarray:
-    """The rows of `coil_gradients` at `places` (M, 2) [m]: (2, M, 3)."""
+    """Return the rows of `coil_gradients` at `places` (M, 2) [m], (2, M, 3)."""
     coils = CoilSet()
     pair = Allocator(coils).allocate((1e-3, 0.0)).currents
     alone = np.where(np.array(coils.names) == 'coil_plus_x', 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""Ways to command a uniform field: in steps, turning, or by what the camera sees."""
+"""Commands of a uniform field: random steps, rotation, or feedback from the camera."""
 
 from __future__ import annotations
 
@@ -12,17 +12,27 @@ from microbot_ros.model.physics.vectors import unit
 
 Levels = float | Sequence[float] | np.ndarray
 ROTATING_HZ = 20.0
-"""How often a turning field is commanded."""
+"""Choice: rate at which a rotating field is commanded."""
 
 def steps(
     rng: np.random.Generator, duration: float, field: Levels, dwell: tuple[float, float],
     centre: float = 0.0, spread: float = math.pi, frequency: Levels | None = None,
 ) -> Commands:
-    """Directions drawn evenly within ± `spread` of `centre` [rad], each held for a while.
+    """Draw directions evenly within ± `spread` of `centre`, each held for a random time.
 
-    The whiles, drawn evenly from `dwell` [s], fill `duration` [s]; `field` [T] and, for rollers,
-    `frequency` [Hz] are one level or several to draw from with every step. The paper's legs are
-    `dwell=(2, 6)`.
+    The paper's legs are `dwell=(2, 6)`.
+
+    Parameters
+    ----------
+    rng : Generator
+    duration : float [s]
+    field : float or sequence [T]
+        One level, or several to draw from at every step.
+    dwell : (float, float) [s]
+        Shortest and longest time, drawn evenly.
+    centre, spread : float [rad]
+    frequency : float or sequence, optional [Hz]
+        For rollers, as `field`.
     """
     most = math.ceil(duration / dwell[0])
     begin = np.concatenate(([0.0], np.cumsum(rng.uniform(*dwell, most))))
@@ -35,19 +45,19 @@ def steps(
 
 
 def rotating(duration: float, field: float, period: float) -> Commands:
-    """A `field` [T] turning anticlockwise once in `period` [s], set anew 20 times a second.
+    """Return a `field` [T] that turns anticlockwise once per `period` [s] for `duration` [s].
 
-    For `duration` [s].
+    It is set 20 times a second.
     """
     begin = np.arange(0.0, duration, 1 / ROTATING_HZ)
     return Commands(begin, field * unit(2 * math.pi * begin / period))
 
 
 class Herding:
-    """Feedback: bring the particle that strayed furthest back to the middle, then the next.
+    """Feedback that steers the particle furthest from the centre back, then the next.
 
-    Decides on the noisy positions that the camera reports, so command and noise are tied as in any
-    closed loop. `phi` (N,) [rad] are its ideas of the particles' offsets; the strength of its
+    It uses the noisy positions of the camera, so that command and noise are correlated as in any
+    closed loop. `phi` (N,) [rad] are the assumed offsets of the particles; the strength of the
     `field` [T] is constant; it stays with one particle for `patience` [s].
     """
 
@@ -59,7 +69,7 @@ class Herding:
         self._until = -math.inf
 
     def __call__(self, t: float, seen: np.ndarray) -> np.ndarray:
-        """The field (2,) [T] for the positions `seen` (N, 2) [m], NaN where one was missed."""
+        """Return the field (2,) [T] for positions `seen` (N, 2) [m], NaN if missed, at `t` [s]."""
         distance = np.hypot(*seen.T)
         if t >= self._until and np.isfinite(distance).any():
             self._chosen = int(np.nanargmax(distance))

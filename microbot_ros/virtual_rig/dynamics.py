@@ -1,9 +1,9 @@
-"""What moves and turns a simulated particle in one short step, compiled.
+"""Compiled motion of simulated particles in one short step.
 
-Each function is one cause. They read a particle's record (`body.BODY`) and share no
-code with the model that is fitted. `advance` puts them together. All are in one file
-because numba's cache notices changes in the caller's own file only: after a change to
-`langevin.step_heading` or to `coil_gradients.SPACING` touch this one.
+Each function is one cause. They read a particle's record (`body.BODY`) and share no code with the
+model that is fitted. `advance` combines them. All are in one file because numba's cache notices
+changes in the caller's own file only: after a change to `langevin.step_heading` or to
+`coil_gradients.SPACING`, touch this one.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ Pair = tuple[float, float]
 
 @numba.njit(cache=True)
 def _deadband(value: float, width: float) -> float:
-    """An amplifier that loses the first `width` of what it is asked for."""
+    """Return the output of an amplifier that loses the first `width` of its input."""
     return math.copysign(max(abs(value) - width, 0.0), value)
 
 
 @numba.njit(cache=True)
 def coil_fields(body: Any, x: float, y: float) -> Pair:
-    """From a command x, y to what the coils of each axis make at a `body`: amplifier, gain [T]."""
+    """Return the fields [T] of the coils of each axis at a `body` for a command `x`, `y` [T]."""
     return _deadband(x, body.deadband), body.gain_y * _deadband(y, body.deadband)
 
 
 @numba.njit(cache=True)
 def felt_field(body: Any, x: float, y: float) -> Pair:
-    """From the fields x, y that the coils of each axis make [T] to that at a body [T]."""
+    """Return the field [T] at a `body` from the fields `x`, `y` [T] of the coils of each axis."""
     return (
         x + math.sin(body.skew) * y + body.background_x,
         math.cos(body.skew) * y + body.background_y,
@@ -43,17 +43,17 @@ def felt_field(body: Any, x: float, y: float) -> Pair:
 
 @numba.njit(cache=True)
 def _hill(drive: float, half: float, steepness: float) -> float:
-    """A curve from 0 to 1 that is ½ at `half`."""
+    """Return a curve from 0 to 1 that is ½ at `half`."""
     return 1.0 if half == 0 else 1 / (1 + (half / drive) ** steepness)
 
 
 @numba.njit(cache=True)
 def roll_frequency(body: Any, frequency: float) -> float:
-    """How often the particle turns in a field rotating at `frequency` [Hz], on average.
+    """Return the mean frequency [Hz] of a particle in a field that rotates at `frequency` [Hz].
 
-    Below cut-in the surface holds it, and it takes up √(f² − cut_in²) above; beyond step-out it
-    slips and keeps f − √(f² − step_out²) (the averaged Adler equation, for either barrier alone).
-    Where the `body` has a steepness, empirical curves.
+    Below cut-in the surface holds it, above it rolls at √(f² − cut_in²); beyond step-out it slips
+    and keeps f − √(f² − step_out²) (averaged Adler equation, for either barrier alone). If the
+    `body` has a steepness, empirical curves apply.
     """
     drive = abs(frequency)
     if drive == 0:
@@ -70,9 +70,9 @@ def roll_frequency(body: Any, frequency: float) -> float:
 
 @numba.njit(cache=True)
 def own_speed(body: Any, frequency: float, t: float) -> float:
-    """Speed [m/s] of a body along its heading at time `t` [s]: burning fuel or rolling.
+    """Return the speed [m/s] of a body along its heading at `t` [s], by fuel or by rolling.
 
-    Before neighbours slow it. `frequency` [Hz] is that of the field.
+    Slowing by neighbours is not included. `frequency` [Hz] is that of the field.
     """
     speed = body.speed * body.fuel + body.gain * roll_frequency(body, frequency)
     speed *= 1 + body.pulse_depth * math.sin(2 * math.pi * body.pulse_frequency * t)
@@ -82,9 +82,9 @@ def own_speed(body: Any, frequency: float, t: float) -> float:
 
 @numba.njit(cache=True)
 def tilt(body: Any, strength: float, rng: np.random.Generator) -> Pair:
-    """Parts of a body's axis along and across the mean heading, from the Boltzmann distribution.
+    """Draw the components of a body's axis along and across its mean heading (Boltzmann).
 
-    The axis' angle from the field of `strength` |B| [T] has the density exp(κ cos ϑ) on the
+    The angle of the axis from the field of `strength` |B| [T] has the density exp(κ cos ϑ) on the
     sphere, κ = |B|/b₀.
     """
     if body.field_scale == 0:
@@ -100,8 +100,7 @@ def tilt(body: Any, strength: float, rng: np.random.Generator) -> Pair:
 
 @numba.njit(cache=True)
 def flow(body: Any, t: float) -> tuple[float, float, float]:
-    """Velocity [m/s] and rotation, half the vorticity [rad/s], of the fluid at a body at `t` [s].
-    """
+    """Return velocity [m/s] and rotation [rad/s] (half the vorticity) at a `body` at `t` [s]."""
     sway = body.sway_speed * math.cos(2 * math.pi * body.sway_frequency * t + body.sway_phase)
     profile = (body.y / body.channel_half_width) ** 2
     settling = math.exp(-t / body.settling_time)
@@ -119,7 +118,7 @@ def flow(body: Any, t: float) -> tuple[float, float, float]:
 
 @numba.njit(cache=True)
 def place_force(body: Any) -> Pair:
-    """Velocity [m/s] of a body by forces that depend on the place: hot spot, trap."""
+    """Return the velocity [m/s] of a body by position-dependent forces: hot spot, trap."""
     x, y = body.x - body.spot_x, body.y - body.spot_y
     squared = (x**2 + y**2) / body.spot_width**2
     spot = body.spot_speed / body.spot_width * math.exp((1 - squared) / 2)
@@ -129,9 +128,9 @@ def place_force(body: Any) -> Pair:
 
 @numba.njit(cache=True)
 def _between(x: float, last: int) -> tuple[int, float]:
-    """The place of the table before a coordinate `x` [m], and what part of the way to the next."""
+    """Return the table index before a coordinate `x` [m], and the fraction to the next."""
     x = x / SPACING + last / 2
-    if not x > 0:  # nor is NaN, for which there is no place either
+    if not x > 0:  # also true for NaN
         return 0, 0.0
     if x >= last:
         return last - 1, 1.0
@@ -140,7 +139,7 @@ def _between(x: float, last: int) -> tuple[int, float]:
 
 @numba.njit(cache=True)
 def gradient_at(table: np.ndarray, x: float, y: float) -> tuple[float, float, float]:
-    """The gradient at x, y [m] from a `table`, a part of `coil_gradients`: between four places.
+    """Interpolate the gradient at `x`, `y` [m] bilinearly in a `table` of `coil_gradients`.
 
     Beyond the table, that at its edge.
     """
@@ -156,9 +155,10 @@ def gradient_at(table: np.ndarray, x: float, y: float) -> tuple[float, float, fl
 def coil_force(
     table: np.ndarray, bx: float, by: float, x: float, y: float, mx: float, my: float,
 ) -> Pair:
-    """(m·∇)B [N] on a moment mx, my [A m²] at x, y [m], of coils on an axis along their field.
+    """Return (m·∇)B [N] on a moment by coils on an axis along their field.
 
-    `bx`, `by` [T] is that field at the centre, `table` a part of `coil_gradients`.
+    `mx`, `my` [A m²] is the moment, at `x`, `y` [m]; `bx`, `by` [T] the field at the centre,
+    `table` a part of `coil_gradients`.
     """
     strength = math.sqrt(bx**2 + by**2)
     if strength == 0:
@@ -172,11 +172,11 @@ def coil_force(
 
 @numba.njit(cache=True)
 def magnetic_velocity(body: Any, x: float, y: float, coils: np.ndarray) -> Pair:
-    """Velocity [m/s] of a body by the gradients of its `coils`, all of `coil_gradients`.
+    """Return the velocity [m/s] of a body by the gradients of its `coils` (`coil_gradients`).
 
-    `x`, `y` [T] is what the coils of each axis make at the centre: a pair of coils each, or
-    together one coil that stands where their field points to. The moments of the body lie φ
-    behind its heading: along the field that turns it.
+    `x`, `y` [T] is the field of the coils of each axis at the centre: of a pair of coils each, or
+    of one coil in the direction of that field. The moments of the body lie φ behind its heading,
+    along the field that turns it.
     """
     if body.pair_moment == 0 and body.coil_moment == 0:
         return 0.0, 0.0
@@ -192,9 +192,11 @@ def magnetic_velocity(body: Any, x: float, y: float, coils: np.ndarray) -> Pair:
 
 @numba.njit(cache=True)
 def dipole_velocity(body: Any, other: Any, x: float, y: float, r: float) -> Pair:
-    """Velocity [m/s] of a body by the moment of one other at distance `r`, direction (x, y).
+    """Return the velocity [m/s] of a body by the moment of the `other` at distance `r` [m].
 
-    The force of one point dipole on another, 3µ₀m₁m₂/4πr⁴ [(m̂₁·r̂)m̂₂ + (m̂₂·r̂)m̂₁ + (m̂₁·m̂₂)r̂ −
+    The direction to it is (`x`, `y`).
+
+    The force between point dipoles, 3µ₀m₁m₂/4πr⁴ [(m̂₁·r̂)m̂₂ + (m̂₂·r̂)m̂₁ + (m̂₁·m̂₂)r̂ −
     5(m̂₁·r̂)(m̂₂·r̂)r̂] (Jackson), over the drag: `dipole` is 3µ₀m²/4π over 6πηr [m⁵/s].
     """
     mine, others = body.heading - body.phi, other.heading - other.phi
@@ -207,8 +209,7 @@ def dipole_velocity(body: Any, other: Any, x: float, y: float, r: float) -> Pair
 
 @numba.njit(cache=True)
 def neighbours(bodies: np.ndarray, i: int) -> tuple[float, float, float]:
-    """Velocity [m/s] of body `i` by all other `bodies`, and the factor by which they slow its own.
-    """
+    """Return the velocity [m/s] of body `i` by all other `bodies`, and the factor on its speed."""
     body, u, v, slowing = bodies[i], 0.0, 0.0, 0.0
     for j in range(len(bodies)):
         if j == i:
@@ -218,7 +219,7 @@ def neighbours(bodies: np.ndarray, i: int) -> tuple[float, float, float]:
         r = max(math.sqrt(x**2 + y**2), 1e-9)
         x, y = x / r, y / r
         away = 0.0
-        # What is not there costs nothing: pairs are many.
+        # Absent effects are skipped, since there are many pairs.
         if body.dipole != 0:
             du, dv = dipole_velocity(body, other, x, y, r)
             u, v = u + du, v + dv
@@ -238,11 +239,10 @@ def neighbours(bodies: np.ndarray, i: int) -> tuple[float, float, float]:
 @numba.njit(cache=True)
 def rotate(body: Any, bx: float, by: float, vorticity: float, t: float, dt: float,
            normal: float) -> None:
-    """Turn a body for `dt` [s] about `t` [s], in place: torque against drag, fluid, chirality,
-    noise.
+    """Turn a body for `dt` [s] about `t` [s], in place.
 
-    Field `bx`, `by` [T]; `vorticity`, the rotation of the fluid [rad/s]; `normal`, a standard
-    normal number.
+    Causes are torque against drag, fluid, chirality and noise. Field `bx`, `by` [T]; `vorticity`,
+    the rotation of the fluid [rad/s]; `normal`, a standard normal number.
     """
     body.phi += body.slip_rate * dt
     wobble = body.wobble_angle * math.sin(2 * math.pi * body.wobble_frequency * t)
@@ -259,12 +259,28 @@ def advance(
     frequency: np.ndarray, coils: np.ndarray, half_extent: np.ndarray, walls: np.ndarray,
     rng: np.random.Generator, mean: np.ndarray, touched: np.ndarray,
 ) -> None:
-    """Take all bodies through steps of `length` [s] about the times `middle` (K,) [s].
+    """Move all bodies through steps of `length` [s] about the times `middle`, in place.
 
-    `rows` (R,) [s]: when each row of `field` (R, 1 or N, 2) [T] and `frequency` (R, 1 or N) [Hz]
-    begins; `coils` as `coil_gradients`. Walls lie at ± `half_extent` (2,) [m], and from one point
-    to another: x, y, x, y of each of `walls` (W, 4) [m]. Adds to `mean` (N, 2) [m] the average
-    position, and says in `touched` (N,) who met another or one of the `walls`.
+    Parameters
+    ----------
+    bodies : (N,) array of BODY
+    middle : (K,) array [s]
+    length : float [s]
+    rows : (R,) array [s]
+        Start of each row of `field` and `frequency`.
+    field : (R, 1 or N, 2) array [T]
+    frequency : (R, 1 or N) array [Hz]
+    coils : array
+        As `coil_gradients`.
+    half_extent : (2,) array [m]
+        Walls at ± this.
+    walls : (W, 4) array [m]
+        Straight walls from x, y to x, y.
+    rng : Generator
+    mean : (N, 2) array [m]
+        The average position is added to it.
+    touched : (N,) bool array
+        Set for bodies that touch another or one of the `walls`.
     """
     velocity = np.empty((len(bodies), 2))
     here = np.zeros(2)
@@ -291,11 +307,26 @@ def advance_worlds(
     rows: np.ndarray, field: np.ndarray, count: np.ndarray, coils: np.ndarray,
     rng: np.random.Generator, mean: np.ndarray,
 ) -> None:
-    """Take some worlds, `which` (K,) of `bodies` (M, N), each on by `duration` [s] in `steps`.
+    """Move the worlds `which` of `bodies` by `duration` in equal steps, in place.
 
-    World m begins at `start[m]` [s] and has had `count[m]` commands: when each begins, in `rows`
-    (R,) [s], and its `field` (M, R, 1, 2) [T]; `coils` as `coil_gradients`. Adds to `mean`
-    (M, N, 2) [m] the average position.
+    Parameters
+    ----------
+    bodies : (M, N) array of BODY
+    which : (K,) int array
+    start : (M,) array [s]
+        Present time of each world.
+    duration : float [s]
+    steps : int
+    rows : (R,) array [s]
+        Start of each command.
+    field : (M, R, 1, 2) array [T]
+    count : (M,) int array
+        Number of commands so far.
+    coils : array
+        As `coil_gradients`.
+    rng : Generator
+    mean : (M, N, 2) array [m]
+        The average position is added to it.
     """
     half_extent, walls = np.full(2, np.inf), np.empty((0, 4))
     touched = np.zeros(bodies.shape[1], np.bool_)
@@ -311,7 +342,7 @@ def _move(
     bodies: np.ndarray, i: int, command: np.ndarray, turns: float, t: float, length: float,
     coils: np.ndarray, rng: np.random.Generator, velocity: np.ndarray,
 ) -> None:
-    """Turn one particle and note the velocity that all causes together give it."""
+    """Turn one particle and record the velocity by all causes together."""
     body = bodies[i]
     x, y = coil_fields(body, command[0], command[1])
     bx, by = felt_field(body, x, y)
@@ -350,10 +381,9 @@ def _displace(
 
 @numba.njit(cache=True)
 def _separate(bodies: np.ndarray, touched: np.ndarray) -> None:
-    """Push overlapping spheres apart along their line of centres, each by its share.
+    """Push overlapping spheres apart along their line of centres, and note both in `touched`.
 
-    What moves one by a force moves the other by as much as their drags say. Notes both in
-    `touched`.
+    A force that moves one moves the other in proportion to their mobilities.
     """
     for i in range(len(bodies)):
         for j in range(i):
@@ -371,7 +401,7 @@ def _separate(bodies: np.ndarray, touched: np.ndarray) -> None:
 
 @numba.njit(cache=True)
 def _keep_out(bodies: np.ndarray, walls: np.ndarray, touched: np.ndarray) -> None:
-    """Push spheres off thin walls, and note in `touched` whom."""
+    """Push spheres off thin walls, and note them in `touched`."""
     for wall in walls:
         along_x, along_y = wall[2] - wall[0], wall[3] - wall[1]
         for i in range(len(bodies)):

@@ -1,8 +1,8 @@
-"""Effects of other packages in the simulated world: it knows them by their hooks alone.
+"""Effects of other packages in the simulated world, which knows them by their hooks alone.
 
-The built-in ones have physics of their own (`dynamics`), which tests the equations that are
-fitted. Of what another package adds nothing else is known: before each millisecond its hooks are
-asked, and what they say is put where the physics looks for it. Slower, in Python.
+The built-in effects have physics of their own (`dynamics`), which tests the equations that are
+fitted. For effects of other packages, the hooks are called before each millisecond and their
+results are written where the physics reads them. This runs in Python and is slower.
 """
 
 from __future__ import annotations
@@ -32,9 +32,10 @@ _DISTURBED = ('drift_x', 'drift_y', 'speed', 'gain', 'moment')
 
 
 def check_effect(effect: str, parameters: Mapping[str, float | Sequence[float]]) -> None:
-    """ValueError naming an effect or a parameter that is unknown, or a value that cannot be.
+    """Raise ValueError for an unknown `effect` or parameter, or an impossible value.
 
-    As `injected_effects.check`, for those of other packages too: every parameter one number.
+    Unlike `injected_effects.check` it also knows effects of other packages, with one number for
+    each of their `parameters`.
     """
     if effect in INJECTABLE:
         check(effect, parameters)
@@ -46,7 +47,7 @@ def check_effect(effect: str, parameters: Mapping[str, float | Sequence[float]])
 
 
 def foreign_effects(effects: Given) -> tuple[Effect, ...]:
-    """Those of the `effects` that the physics does not know, ValueError for what cannot be."""
+    """Return those `effects` that the physics does not know; ValueError if impossible."""
     return read_effects(
         {name: values for name, values in effects.items() if name not in INJECTABLE})
 
@@ -56,11 +57,11 @@ def make_world(
     learned: Sequence[LearnedTerm] = (), half_extent: tuple[float, float] = (np.inf, np.inf),
     walls: ArrayLike = (),
 ) -> World:
-    """A `World` of `bodies`, by `rng`, within `half_extent` and between `walls`, that feels
-    foreign `effects` too, and terms that were `learned`.
+    """Return a `World` that also feels effects of other packages and learned terms.
 
-    Those that the physics knows are in the bodies already (`inject_effect`). Alignment is stated
-    at `reference_field` [T]. ValueError as from `check_effect`.
+    `bodies`, `rng`, `half_extent` and `walls` as in `World`. `effects` that the physics knows are
+    in the bodies already (`inject_effect`); the others and terms that were `learned` are added.
+    Alignment is stated at `reference_field` [T]. Raises ValueError as `check_effect`.
     """
     foreign = foreign_effects(effects)
     if not (foreign or learned):
@@ -70,13 +71,12 @@ def make_world(
 
 
 class ForeignWorld(World):
-    """A world of `bodies`, `rng`, `half_extent` and `walls` as in `World`, under the effects of a
-    `model`.
+    """World under the effects of a `model`.
 
-    Their stage 1 acts on the command, before the amplifier and the coils of the bodies; the rest
-    sees the field at each body. `drift` adds to the flow, `speed_factor` multiplies speed and
-    gain, `heading_offset` adds to φ, `alignment_rate` takes the place of the moment's; `observe`
-    follows the camera's own.
+    `bodies`, `rng`, `half_extent` and `walls` as in `World`. Effects of stage 1 act on the
+    command, before the amplifier and the coils of the bodies; the others see the field at each
+    body. `drift` adds to the flow, `speed_factor` multiplies speed and gain, `heading_offset` adds
+    to φ, `alignment_rate` replaces that of the moment; `observe` follows the camera's own.
     """
 
     def __init__(self, bodies: np.ndarray, rng: np.random.Generator,
@@ -105,7 +105,7 @@ class ForeignWorld(World):
         return self._model.observe(position)
 
     def _disturb(self, t: float, length: float, history: FieldHistory) -> np.ndarray | float:
-        """Put what the hooks say of a step into the bodies; what was added to φ [rad]."""
+        """Write the hooks' results of a step into the bodies; return what was added to φ [rad]."""
         bodies, model = self.bodies, self._model
         context = self._context(t, length, history)
         bodies['speed'] *= model.speed_factor(context)

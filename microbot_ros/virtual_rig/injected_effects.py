@@ -1,7 +1,7 @@
 """Effects that can be hidden in the simulated world, by name.
 
-Those of the library under their ids and parameters, so that a search can be scored against what
-was hidden; and some that no library has, which a search must not give a wrong name.
+Those of the library have their ids and parameters, so that a search can be scored against them.
+Others are in no library; a search must not give them a wrong name.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from microbot_ros.common.units import to_si
 from microbot_ros.virtual_rig.coil_gradients import pull_of_coil, pull_of_pair
 
-# Effect → parameter as people write it → column of the particle's record.
+# Effect → parameter in display units → column of the particle's record.
 LISTED: dict[str, dict[str, str]] = {
     'uniform_drift': {'wx_um_s': 'drift_x', 'wy_um_s': 'drift_y'},
     'linear_flow': {
@@ -37,7 +37,7 @@ LISTED: dict[str, dict[str, str]] = {
     'gradient_force': {'rate_per_s_mT': 'pair_moment'},
     'coil_pull': {'rate_um_s_mT': 'coil_moment'},
     'incomplete_alignment': {'field_scale_mT': 'field_scale'},
-    # The first two are the mechanics of rollers; all five, the curves that the library fits.
+    # The first two alone are the mechanics of rollers; all five are the curves of the library.
     'drive_response': {
         'cut_in_hz': 'cut_in', 'step_out_hz': 'step_out', 'slip': 'slip',
         'cut_in_steepness': 'cut_in_steepness', 'step_out_steepness': 'step_out_steepness'},
@@ -61,7 +61,7 @@ UNLISTED: dict[str, dict[str, str]] = {
 
 INJECTABLE = LISTED | UNLISTED
 
-# Columns that divide, or that mean nothing at zero.
+# Columns used as divisors, or undefined at zero.
 _POSITIVE = {
     'moment', 'fuel_time', 'spot_width', 'step_out', 'channel_half_width', 'uphill_length',
     'settling_time', 'trap_length', 'repulsion_range',
@@ -69,7 +69,7 @@ _POSITIVE = {
 
 
 def check(effect: str, parameters: Mapping[str, float | Sequence[float]]) -> None:
-    """ValueError naming an effect or parameter that is unknown, or a value that cannot be."""
+    """Raise ValueError for an unknown `effect`, or impossible `parameters`."""
     if effect not in INJECTABLE:
         raise ValueError(f"unknown effect '{effect}'; expected one of: {', '.join(INJECTABLE)}")
     known = INJECTABLE[effect]
@@ -90,13 +90,18 @@ def inject_effect(
     bodies: np.ndarray, effect: str, parameters: Mapping[str, float | Sequence[float]],
     reference_field: float,
 ) -> None:
-    """Give particles, `bodies` (N,) of type BODY, an effect, in place.
+    """Add an effect to particles, in place; parameters that are not given stay.
 
-    Each parameter is a number, or one for each particle; what is not given stays. A lag sets the
-    magnetic moment that makes the heading align with the time constant `tau_s` at
-    `reference_field` [T]; `gradient_force` and `coil_pull`, a moment of their own that the
-    gradients of the default coils pull at the given rate at the centre. ValueError as from
-    `check`.
+    A lag sets the magnetic moment that aligns the heading with the time constant `tau_s` at the
+    reference field; `gradient_force` and `coil_pull` set a moment that the gradients of the
+    default coils pull at the given rate at the centre. Raises ValueError as `check`.
+
+    Parameters
+    ----------
+    bodies : (N,) array of BODY
+    effect : str
+    parameters : mapping of str to float or N floats
+    reference_field : float [T]
     """
     check(effect, parameters)
     for name, value in parameters.items():

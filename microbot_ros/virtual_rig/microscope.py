@@ -1,9 +1,9 @@
-"""The microscope's picture of the simulated world: Janus spheres in bright field, 8 bits.
+"""Microscope picture of the simulated world: Janus spheres in bright field, 8 bits.
 
-Light is multiplied by what it passes, blurred by how far out of focus that is, and counted in
-electrons. A sphere of polystyrene refracts light out of the aperture near its edge (a dark rim)
-and gathers it in the middle (a bright core); the metal on one half absorbs. It swims with the
-bare half in front, so the cap looks against the heading.
+Light is multiplied by the transmission of each object, blurred by its defocus, and counted in
+electrons. A polystyrene sphere refracts light out of the aperture near its edge (a dark rim) and
+focuses it in the middle (a bright core); the metal on one half absorbs. The sphere swims with the
+bare half in front, so the cap points against the heading.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from pydantic import Field
 from microbot_ros.common import units
 from microbot_ros.common.files import Settings
 
-_NOISE_BANK = 1 << 20
-_GOLDEN = 0.6180339887498949
+_NOISE_BANK = 1 << 20  # choice: stored normal deviates, 3 frames; rows start at random places
+_GOLDEN = 0.6180339887498949  # golden ratio, for well distributed phases
 
 
 class MicroscopeSettings(Settings):
-    """The YAML section `microscope:` of a virtual rig."""
+    """YAML section `microscope:` of a virtual rig."""
 
     width_px: int = Field(default=640, ge=64, le=4096, description='picture width')
     height_px: int = Field(default=480, ge=64, le=4096, description='picture height')
@@ -48,9 +48,9 @@ class MicroscopeSettings(Settings):
 
 
 class Microscope:
-    """Renders what the camera sees; `seed` fixes the debris and every frame's noise.
+    """Renders the camera's picture by `settings`; `seed` fixes the debris and every frame's noise.
 
-    The workspace's origin lies at the picture's centre ((W − 1)/2, (H − 1)/2); the centre of the
+    The workspace origin lies at the picture's centre ((W − 1)/2, (H − 1)/2); the centre of the
     first pixel is (0, 0); y points up in the workspace and down in the picture.
     """
 
@@ -66,21 +66,21 @@ class Microscope:
             settings.drift_um_s / settings.pixel_size_um / math.sqrt(2))
 
     def pixels(self, position: np.ndarray) -> np.ndarray:
-        """Where positions (..., 2) [m] lie in the picture (..., 2) [px]."""
+        """Return the pixel coordinates (..., 2) of a `position` (..., 2) [m]."""
         s = self.settings
         centre = np.array([(s.width_px - 1) / 2, (s.height_px - 1) / 2])
         return centre + np.asarray(position) * np.array([1, -1]) / s.pixel_size
 
     def defocus(self, count: int, t: float) -> np.ndarray:
-        """How far out of focus each of `count` particles is at time t (count,), within ±1."""
+        """Return the defocus (`count`,) of particles at `t` [s], within ±1."""
         phase = 2 * np.pi * (t / self.settings.focus_period_s + _GOLDEN * np.arange(count))
         return 0.6 * np.sin(phase) + 0.4 * np.sin(1.618 * phase)
 
     def expose(self, position: np.ndarray, theta: np.ndarray, t: float) -> np.ndarray:
-        """The light before the sensor (H, W) float32 [grey levels], without noise.
+        """Return the light before the sensor (H, W) float32 [grey levels], without noise.
 
-        `position` (N, 2) [m], `theta` (N,) heading [rad], `t` [s]. What lies out of view or is
-        not finite is not drawn.
+        `position` (N, 2) [m], `theta` (N,) heading [rad], `t` [s]. Particles out of view or not
+        finite are not drawn.
         """
         from microbot_ros.virtual_rig.optics import draw_smudge, draw_sphere
 
@@ -96,15 +96,15 @@ class Microscope:
         for (x, y), heading, z, drawn in zip(places, theta, defocus, near, strict=True):
             if drawn:
                 blur = math.hypot(s.blur_px, s.defocus_px * z)
-                # Seen from above y points down: the heading turns the other way.
+                # y points down in the picture, so the heading changes sign.
                 draw_sphere(light, x, y, -heading, radius, blur, z, s.cap_absorption)
         return light
 
     def render(self, position: np.ndarray, theta: np.ndarray, t: float) -> np.ndarray:
-        """One frame (H, W) uint8 at time `t` [s] of particles at `position` (N, 2) [m], headings
-        `theta`.
+        """Return one frame (H, W) uint8 at `t` [s] of particles at `position` (N, 2) [m].
 
-        See `expose`; shot and read noise differ from call to call.
+        `theta` (N,) are headings [rad], see `expose`; shot and read noise differ from call to
+        call.
         """
         from microbot_ros.virtual_rig.optics import count_electrons
 
@@ -123,7 +123,7 @@ class Microscope:
         return (s.brightness * light).astype(np.float32)
 
     def _stain(self) -> None:
-        """Draw what never moves: grains on the glass and dust above and below it."""
+        """Draw immobile objects: grains on the glass, and dust above and below it."""
         from microbot_ros.virtual_rig.optics import draw_smudge
 
         s, rng = self.settings, self._rng

@@ -1,4 +1,4 @@
-"""The microscope's inner loops: objects that take light away, and the sensor that counts it."""
+"""Inner loops of the microscope: objects that absorb light, and the sensor."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def _window(centre: float, reach: float, size: int) -> tuple[int, int]:
 
 @numba.njit(cache=True)
 def draw_smudge(light: ndarray, x: float, y: float, width: float, depth: float) -> None:
-    """Multiply `light` (H, W) by a dark Gaussian spot at (x, y), std `width` [px].
+    """Multiply `light` (H, W) by a dark Gaussian spot at (`x`, `y`), std `width` [px].
 
-    In its middle it takes the part `depth` of the light.
+    In its middle it absorbs the fraction `depth`.
     """
     top, bottom = _window(y, 4 * width, light.shape[0])
     left, right = _window(x, 4 * width, light.shape[1])
@@ -30,7 +30,7 @@ def draw_smudge(light: ndarray, x: float, y: float, width: float, depth: float) 
 
 @numba.njit(cache=True)
 def _ring(rho: float, radius: float, width: float, blur: float) -> float:
-    """A ring of unit height blurred to a lower and wider one of the same cross-section."""
+    """Return a ring of unit height, blurred to a lower and wider one of equal cross-section."""
     spread = math.hypot(width, blur)
     return width / spread * math.exp(-((rho - radius) ** 2) / (2 * spread * spread))
 
@@ -38,13 +38,25 @@ def _ring(rho: float, radius: float, width: float, blur: float) -> float:
 @numba.njit(cache=True)
 def draw_sphere(light: ndarray, x: float, y: float, heading: float, radius: float, blur: float,
                 z: float, cap: float) -> None:
-    """Multiply `light` (H, W) by the transmission of a Janus sphere at (x, y), all in pixels.
+    """Multiply `light` by the transmission of a Janus sphere; lengths in pixels.
 
-    `radius` of the sphere; `heading` [rad] as it is on the picture, y down; `blur` is the standard
-    deviation of the point spread; `z` within ±1 is how far the sphere is above the focal plane:
-    below it the edge is bordered by a dark line, above it by a bright one (Becke's line). `cap` is
-    the part of the light that the metal takes; but for it the transmission is a smooth function of
-    the distance from (x, y) alone: its centre is exact.
+    Except for the cap, the transmission is a smooth function of the distance from the centre,
+    which is therefore exact. Below the focal plane a dark line borders the edge, above it a bright
+    one (Becke line).
+
+    Parameters
+    ----------
+    light : (H, W) array
+    x, y : float
+        Centre.
+    heading : float [rad]
+        In the picture, y down.
+    radius, blur : float
+        Of the sphere, and standard deviation of the point spread.
+    z : float
+        Height above the focal plane, within ±1.
+    cap : float
+        Fraction absorbed by the metal.
     """
     reach = radius + 5 * blur + 2
     top, bottom = _window(y, reach, light.shape[0])
@@ -68,9 +80,9 @@ def draw_sphere(light: ndarray, x: float, y: float, heading: float, radius: floa
 @numba.njit(cache=True, fastmath=True)
 def count_electrons(light: ndarray, noise: ndarray, starts: ndarray, shot: float,
                     read_variance: float, frame: ndarray) -> None:
-    """Fill `frame` (H, W) uint8 with `light` and noise of variance light·shot + read_variance.
+    """Fill `frame` (H, W) uint8 with `light` and noise of variance light·`shot` + `read_variance`.
 
-    Each row takes its normal deviates from `noise` (M,) where `starts` (H,) says.
+    Each row takes its normal deviates from `noise` (M,) at its entry of `starts` (H,).
     """
     for i in range(light.shape[0]):
         deviates = noise[starts[i]:starts[i] + light.shape[1]]

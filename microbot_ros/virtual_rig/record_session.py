@@ -1,4 +1,4 @@
-"""Filming a simulated world: a session as a real rig would have recorded it, and the truth."""
+"""Film a simulated world: a session as a real rig records it, and the truth."""
 
 from __future__ import annotations
 
@@ -15,18 +15,27 @@ from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
 Feedback = Callable[[float, np.ndarray], np.ndarray]
-"""From the time [s] and the positions seen (N, 2) [m] to the field wanted (2,) [T]."""
+"""Function from time [s] and observed positions (N, 2) [m] to the field (2,) [T]."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """How positions are seen.
+    """Camera that observes positions.
 
-    `frame_rate` [1/s]; `exposure`, the part of the frame interval during which the shutter is
-    open, 0 a strobe and 1 always; `noise`, standard deviation of each coordinate [m]; `missed`,
-    the fraction of detections that fail, in runs of `run` frames on average; `dropped`, the
-    fraction of whole frames that never arrive. ValueError where runs are too short for so many
-    misses: `run` is at least missed/(1 − missed), and 1.
+    Raises ValueError if runs are too short for so many misses: `run` must be at least
+    missed/(1 − missed), and 1.
+
+    Attributes
+    ----------
+    frame_rate : float [1/s]
+    exposure : float
+        Fraction of the frame interval with an open shutter: 0 a strobe, 1 always.
+    noise : float
+        Standard deviation of each coordinate [m].
+    missed, run : float
+        Fraction of detections that fail, and mean length of their runs [frames].
+    dropped : float
+        Fraction of whole frames that are lost.
     """
 
     frame_rate: float
@@ -46,11 +55,25 @@ def record_session(
     world: World, control: Commands | Feedback, camera: Camera, duration: float,
     rng: np.random.Generator, conditions: Conditions | None = None,
 ) -> tuple[Session, Path]:
-    """Film `world` for `duration` [s] under commands, or under feedback from every frame.
+    """Film a world under commands, or under feedback from every frame.
 
-    A frame is stamped with the middle of its exposure; its positions are means over the
-    exposure. Feedback is asked at the end of each exposure and answered at once, from what was
-    seen, gaps (NaN) and noise included. Returns the session and the true path at the stamps.
+    A frame is stamped with the middle of its exposure; its positions are means over the exposure.
+    Feedback is called at the end of each exposure with what was seen, gaps (NaN) and noise
+    included, and acts at once.
+
+    Parameters
+    ----------
+    world : World
+    control : Commands or Feedback
+    camera : Camera
+    duration : float [s]
+    rng : Generator
+    conditions : Conditions, optional
+
+    Returns
+    -------
+    Session, Path
+        The session, and the true path at the stamps.
     """
     shutter = camera.exposure / camera.frame_rate
     count = math.floor((duration - shutter) * camera.frame_rate + 1e-9) + 1
@@ -82,9 +105,9 @@ def _empty(frames: int, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def picture(bodies: np.ndarray, position: np.ndarray, t: float | np.ndarray) -> np.ndarray:
-    """What the camera's pixels and the stage make of true positions (..., N, 2) [m] at `t` [s].
+    """Distort a true `position` (..., N, 2) [m] as pixels and stage do.
 
-    `bodies` (..., N) are of type BODY.
+    `bodies` (..., N) are of type BODY; `t` [s].
     """
     seen = position.copy()
     seen[..., 1] *= bodies['aspect']
@@ -98,10 +121,9 @@ def picture(bodies: np.ndarray, position: np.ndarray, t: float | np.ndarray) -> 
 def detection_errors(
     camera: Camera, frames: int, count: int, rng: np.random.Generator,
 ) -> np.ndarray:
-    """What to add to true positions (frames, N, 2) [m] of `count` = N particles: noise, or NaN.
+    """Return errors (`frames`, N, 2) [m] of `count` = N particles of a `camera`, drawn by `rng`.
 
-    NaN where one was missed. Misses of a particle are a two-state chain; a dropped frame misses
-    all.
+    NaN if missed. Misses of a particle are a two-state Markov chain; a dropped frame misses all.
     """
     visible = np.ones((frames, count), dtype=bool)
     if camera.missed > 0:
@@ -117,8 +139,7 @@ def detection_errors(
 
 
 def as_tracks(t: np.ndarray, seen: np.ndarray) -> Tracks:
-    """Tracks of positions `seen` (T, N, 2) [m] at times `t` (T,) [s]; NaN where there is no row.
-    """
+    """Return tracks of positions `seen` (T, N, 2) [m] at times `t` (T,) [s]; NaN gives no row."""
     frame, particle = np.nonzero(np.isfinite(seen[..., 0]))
     unknown = np.full(len(frame), np.nan)
     return Tracks(t[frame], particle, seen[frame, particle], unknown, unknown.copy())
@@ -127,9 +148,9 @@ def as_tracks(t: np.ndarray, seen: np.ndarray) -> Tracks:
 def scatter(
     rng: np.random.Generator, count: int, half_extent: float, spacing: float,
 ) -> np.ndarray:
-    """Places (`count`, 2) [m] drawn evenly within ± `half_extent`, none closer than `spacing`.
+    """Draw places (`count`, 2) [m] evenly within ± `half_extent`, none closer than `spacing` [m].
 
-    ValueError where so many do not fit, as far as a hundred draws each can tell.
+    Raises ValueError if a hundred draws (by `rng`) per particle do not suffice.
     """
     places = np.empty((0, 2))
     for _ in range(100 * count):
@@ -146,10 +167,21 @@ def draw_swarm(
     *, radius: float = 4.6e-6, speed: tuple[float, float] = (3.5e-6, 6e-6),
     half_extent: float = 100e-6, spacing: float = 15e-6, aligns_in: float = 0.5e-3,
 ) -> np.ndarray:
-    """Swimmers (`count`,) of type BODY with random speeds, offsets, places and headings.
+    """Draw swimmers of type BODY with random speeds, offsets, places and headings.
 
-    Spheres of `radius` [m]; `speed` from lowest to highest [m/s]; `half_extent` and `spacing` [m]
-    as in `scatter`. Their moments align them in `aligns_in` [s] at `reference_field` [T].
+    Parameters
+    ----------
+    rng : Generator
+    count : int
+    fluid : Fluid
+    reference_field : float [T]
+    radius : float [m]
+    speed : (float, float) [m/s]
+        Lowest and highest.
+    half_extent, spacing : float [m]
+        As in `scatter`.
+    aligns_in : float
+        Alignment time at the reference field [s].
     """
     radii = np.full(count, radius)
     return bodies(

@@ -1,10 +1,10 @@
-"""Rollers on a floor in a real field: a moment that the field drags round, and what rolls by it.
+"""Rollers on a floor in a real field: rotation of their moments, and rolling.
 
-The moment of a sphere of low Reynolds number turns into the field B at the rate γ|B| sin δ, δ
-being the angle between the two and γ its moment over the rotational drag (Stokes). In a field that
-rotates it follows, behind by δ, as long as ω < γ|B|; beyond that it steps out and slips. Turning
-about an axis in the plane it rolls along ω̂ × ẑ, as far per turn as the floor couples (Goldman, Cox
-and Brenner, Chemical Engineering Science 22, 637 (1967)). A field that stands moves nothing.
+The moment of a sphere at low Reynolds number turns into the field B at the rate γ|B| sin δ, with δ
+the angle between them and γ the moment over the rotational drag (Stokes). In a rotating field it
+follows with a lag δ as long as ω < γ|B|; beyond that it steps out and slips. Rotating about an
+axis in the plane it rolls along ω̂ × ẑ, by a distance per turn that depends on the floor (Goldman,
+Cox and Brenner, Chemical Engineering Science 22, 637 (1967)). A static field moves nothing.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from microbot_ros.common.compiled import numba
 from microbot_ros.virtual_rig.world import FieldHistory
 
 _LONGEST_S = 2e-3
-"""Of a row: a moment that turns into a field that stands takes some of them."""
+"""Choice: longest row [s], several of which cover the alignment with a static field."""
 
 
 class Rolling:
-    """Turns what the coils make into rows by which a `World` of rollers moves.
+    """Converts the field of the coils into rows that move a `World` of rollers.
 
-    `mobility` γ [rad/(s T)] is that of all of them, or (N,) of each. Its clock begins at 0 s.
+    `mobility` γ [rad/(s T)] is one value or (N,). The clock begins at 0 s.
     """
 
     def __init__(self, mobility: ArrayLike) -> None:
@@ -37,7 +37,7 @@ class Rolling:
             np.array([-math.inf]), np.zeros((1, count, 2)), np.zeros((1, count)))
 
     def take(self, t: np.ndarray, field: np.ndarray, until: float) -> None:
-        """Live on to `until` [s] in a `field` (K, 3) [T]; each row holds from `t` (K,) [s] on."""
+        """Advance to `until` [s] in a `field` (K, 3) [T]; each row holds from `t` (K,) [s] on."""
         begin = np.clip(t, self._t, max(until, self._t))
         length = np.diff(begin, append=max(until, self._t))
         count = np.ceil(length / _LONGEST_S).astype(int)
@@ -52,9 +52,9 @@ class Rolling:
         self._t = max(until, self._t)
 
     def history(self, since: float) -> FieldHistory:
-        """The rows in force from `since` [s] on: how fast each rolls, and which way.
+        """Return frequency and direction of each roller in the rows from `since` [s] on.
 
-        Those before are forgotten.
+        Earlier rows are forgotten.
         """
         rows = self._rows
         assert rows.frequency is not None
@@ -67,11 +67,11 @@ class Rolling:
 @numba.njit(cache=True)
 def _roll(moments: np.ndarray, before: np.ndarray, turning: np.ndarray, mobility: np.ndarray,
           length: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which way each rolls (R, N, 2), as long as the `field` (R, 3) [T], and how fast (R, N) [Hz].
+    """Return directions (R, N, 2), as long as the `field` (R, 3) [T], and frequencies (R, N) [Hz].
 
-    Changes the `moments` (N, 3), of a `mobility` (N,), which are in each row for a `length` (R,)
-    [s], the field `before` (3,), and the axis about which that was `turning` (3,) last. One that
-    slips rolls back: its frequency is below 0.
+    Changes the `moments` (N, 3), of a `mobility` (N,), the previous field `before` (3,), and its
+    last axis of rotation `turning` (3,). Row k lasts `length` [s]. A slipping roller that rolls
+    back has a negative frequency.
     """
     way = np.zeros((len(length), len(moments), 2))
     frequency = np.zeros((len(length), len(moments)))
@@ -96,10 +96,10 @@ def _roll(moments: np.ndarray, before: np.ndarray, turning: np.ndarray, mobility
 @numba.njit(cache=True)
 def turn_moment(moment: np.ndarray, field: np.ndarray, mobility: float, length: float,
                 ) -> np.ndarray:
-    """By what angle (3,) [rad] a unit `moment` (3,), changed in place, turns into a `field` (3,).
+    """Turn a unit `moment` (3,) towards a `field` (3,) [T] for `length` [s], in place.
 
-    [T], with the `mobility` [rad/(s T)], in `length` [s]: dδ/dt = −γ|B| sin δ has the solution
-    tan δ/2 ∝ exp(−γ|B|t). One that points straight against the field stays.
+    Returns the rotation vector (3,) [rad]. With the `mobility` γ [rad/(s T)], dδ/dt = −γ|B| sin δ
+    has the solution tan δ/2 ∝ exp(−γ|B|t). A moment exactly against the field stays.
     """
     strength = math.sqrt(field[0] ** 2 + field[1] ** 2 + field[2] ** 2)
     angle = np.zeros(3)

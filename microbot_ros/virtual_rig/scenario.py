@@ -1,4 +1,4 @@
-"""Scenarios: what `microbot simulate` is asked for, as YAML with a unit in every name."""
+"""Scenarios of `microbot simulate`, as YAML with a unit in every name."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from microbot_ros.virtual_rig.record_session import Camera, Feedback
 Positive = Annotated[float, pydantic.Field(gt=0)]
 Fraction = Annotated[float, pydantic.Field(ge=0, lt=1)]
 LevelSettings = Positive | Annotated[tuple[Positive, ...], pydantic.Field(min_length=1)]
-_MOST_ROWS = 1e7
+_MOST_ROWS = 1e7  # choice: frames of a simulation, an array of 160 MB per particle
 EffectSettings = dict[str, dict[str, float | tuple[float, ...]]]
 
 
 class FluidSettings(Settings):
-    """The section `fluid`."""
+    """Section `fluid`."""
 
     viscosity_mPa_s: Positive
     temperature_K: Positive = 298.15
 
 
 class CameraSettings(Settings):
-    """The section `camera`; see `record_session.Camera`."""
+    """Section `camera`; see `record_session.Camera`."""
 
     frame_rate_hz: Positive
     exposure: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.0
@@ -54,14 +54,14 @@ class CameraSettings(Settings):
         return self
 
     def camera(self) -> Camera:
-        """The camera in SI."""
+        """Return the camera in SI."""
         noise = self.localisation_um * 1e-6
         return Camera(
             self.frame_rate_hz, self.exposure, noise, self.missed, self.run, self.dropped)
 
 
 class SwimmerSettings(Settings):
-    """One of `particles`: where it starts and how it answers the field."""
+    """One of `particles`: its start and its response to the field."""
 
     x_um: float
     y_um: float
@@ -71,7 +71,7 @@ class SwimmerSettings(Settings):
 
 
 class StepSettings(Settings):
-    """Commands drawn at random; see `commands.steps`."""
+    """Random commands; see `commands.steps`."""
 
     field_mT: LevelSettings
     dwell_s: tuple[Positive, Positive]
@@ -88,7 +88,7 @@ class StepSettings(Settings):
 
 
 class RotatingSettings(Settings):
-    """A steadily turning field; see `commands.rotating`."""
+    """Steadily rotating field; see `commands.rotating`."""
 
     field_mT: Positive
     period_s: Positive
@@ -111,7 +111,7 @@ class RowSettings(Settings):
 
 
 class CommandSettings(Settings):
-    """The section `commands`: exactly one way to command."""
+    """Section `commands`: exactly one kind of command."""
 
     steps: StepSettings | None = None
     rotating: RotatingSettings | None = None
@@ -134,8 +134,9 @@ class CommandSettings(Settings):
     def control(
         self, duration: float, phi: np.ndarray, rng: np.random.Generator,
     ) -> Commands | Feedback:
-        """The commands for `duration` [s], or the feedback that decides them, in SI; phi (N,)
-        [rad].
+        """Return the commands for `duration` [s], or the feedback that decides them, in SI.
+
+        `phi` (N,) [rad] are the offsets of the particles; `rng` draws random commands.
         """
         if self.steps:
             s = self.steps
@@ -150,7 +151,7 @@ class CommandSettings(Settings):
 
     @property
     def rate_hz(self) -> float:
-        """How many commands a second there can be."""
+        """Largest number of commands per second."""
         return 1 / self.steps.dwell_s[0] if self.steps else ROTATING_HZ if self.rotating else 0.0
 
     @property
@@ -173,11 +174,11 @@ Wall = tuple[float, float, float, float]
 
 
 class ControllerSettings(Settings):
-    """The section `controller`: the loop is closed, by one of the controllers that are installed.
+    """Section `controller`: the loop is closed by one of the installed controllers.
 
-    `name` is told `goals_um` and `path_um`, rows of x and y, may ask for `max_field_mT`, and has
-    `parameters` of its own. With `pictures` the tracker finds the particles in pictures of a
-    microscope; otherwise the loop is told their positions as the camera reports them.
+    The controller `name` gets `goals_um` and `path_um`, rows of x and y, may command up to
+    `max_field_mT`, and has its own `parameters`. With `pictures` the tracker finds the particles
+    in pictures of a microscope; otherwise the loop gets the positions that the camera reports.
     """
 
     name: str
@@ -189,15 +190,13 @@ class ControllerSettings(Settings):
 
 
 class Scenario(Settings):
-    """A whole scenario.
+    """Whole scenario of a simulation.
 
-    `particles` are listed, or `model` names a `model.yaml` (its path from the scenario's folder)
-    whose particles start at random within ± `spread_um`, whose effects are added to `effects` and
-    whose learned terms act too.
-    `alignment_ms` is how fast the field aligns them at the reference field, `height_um` how high
-    their centres are above the floor, far where it is not said, `walls_um` x, y, x, y of the ends
-    of straight walls that they don't pass. Either `commands` say what the field does, or a
-    `controller` does.
+    `particles` are listed, or `model` names a `model.yaml` (path from the scenario's folder): its
+    particles start at random within ± `spread_um`, its effects are added to `effects`, and its
+    learned terms act too. `alignment_ms` is the alignment time at the reference field, `height_um`
+    the height of the centres above the floor (far from it if absent), `walls_um` x, y, x, y of the
+    ends of straight walls. The field follows either `commands` or a `controller`.
     """
 
     physics: Literal['langevin', 'first_order', 'newton_stokes'] = 'langevin'
@@ -221,7 +220,7 @@ class Scenario(Settings):
 
     @property
     def learned(self) -> tuple[LearnedTerm, ...]:
-        """Terms that its `model` learned."""
+        """Learned terms of its `model`."""
         return self._learned
 
     @pydantic.field_validator('height_um')
@@ -268,12 +267,12 @@ class Scenario(Settings):
 
     @property
     def speed_key(self) -> str:
-        """What the speed of a particle is called."""
+        """Name of the speed parameter of a particle."""
         return 'v_um_s' if self.propulsion == 'catalytic' else 'gain_um_s_hz'
 
     @property
     def listed(self) -> ParticleParameters:
-        """The particles that it lists."""
+        """The listed particles."""
         name = self.speed_key
         return ParticleParameters(
             np.arange(len(self.particles)),
@@ -282,17 +281,17 @@ class Scenario(Settings):
 
     @property
     def reference_field(self) -> float:
-        """In tesla."""
+        """Reference field [T]."""
         return exact_si('reference_field_mT', self.reference_field_mT)
 
     @property
     def radius(self) -> float:
-        """In metres."""
+        """Radius [m]."""
         return exact_si('radius_um', self.radius_um)
 
     @property
     def height(self) -> float | None:
-        """In metres."""
+        """Height [m], or None."""
         return None if self.height_um is None else exact_si('height_um', self.height_um)
 
     @property
@@ -304,7 +303,7 @@ class Scenario(Settings):
 
     @property
     def conditions(self) -> Conditions:
-        """What the session will say of its rig."""
+        """Conditions of the simulated session."""
         return Conditions(
             self.propulsion, self.radius, self.medium.viscosity,
             self.medium.temperature, self.camera.frame_rate_hz, None, self.reference_field,
@@ -312,7 +311,7 @@ class Scenario(Settings):
 
 
 def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
-    """A scenario and its particles; effects of its `model` are among its effects.
+    """Read a scenario and its particles from `path`, with the effects of its `model` included.
 
     Raises InputError naming file, line, key and what was expected.
     """
@@ -336,7 +335,7 @@ def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
 
 
 def _with_model(path: Path, scenario: Scenario, model: Model) -> Scenario:
-    """The scenario with a model's effects; those that it names itself stay."""
+    """Return the scenario with a model's effects; those in the scenario take precedence."""
     if model.propulsion != scenario.propulsion:
         raise InputError(
             path, f"'propulsion': expected {model.propulsion}, as in {scenario.model}",

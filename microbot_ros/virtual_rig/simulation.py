@@ -1,4 +1,4 @@
-"""Running a scenario by the physics that it asks for."""
+"""Run a scenario by the selected physics."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from microbot_ros.virtual_rig.record_session import (
 from microbot_ros.virtual_rig.scenario import Scenario
 
 POLYSTYRENE = 984.0
-"""Density [kg/m³] that the paper's mass and radius give: for inertia, in `newton_stokes`."""
+"""Density [kg/m³] from the paper's mass and radius, for inertia in `newton_stokes`."""
 
 
 def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Session:
-    """The session that a scenario makes; InputError, naming `source`, for what it cannot be."""
+    """Simulate a `scenario` with `particles`; InputError naming `source` if impossible."""
     rng = np.random.default_rng(scenario.seed)
     count = len(particles.ids)
     start = starting_places(scenario, count, rng, source)
@@ -46,7 +46,7 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
                            scenario.effects, scenario.reference_field, scenario.learned,
                            walls=1e-6 * np.array(scenario.walls_um))
         if scenario.controller and scenario.controller.pictures:
-            # Particles have the names that the tracker gives them.
+            # Particles have the ids of the tracker.
             return film(scenario, world, source)
         session, _ = record_session(
             world, control, scenario.camera.camera(), scenario.duration_s, rng,
@@ -55,13 +55,13 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
             tell_fault(control.loop, source)
     else:
         session = _without_noise(scenario, particles, control, start, heading, rng, source)
-    # The particles keep the names that the scenario or its model gave them.
+    # Particles keep the ids of the scenario or its model.
     named = replace(session.tracks, particle=particles.ids[session.tracks.particle])
     return replace(session, tracks=named)
 
 
 def strays(scenario: Scenario, particles: ParticleParameters, session: Session) -> list[str]:
-    """Sentences on how much of a `session` of a scenario was beyond what its terms know."""
+    """Return sentences on how much of a `session` was outside the range of learned terms."""
     if not scenario.learned:
         return []
     model = Model(scenario.reference_field, scenario.propulsion, learned=scenario.learned)
@@ -77,9 +77,9 @@ def strays(scenario: Scenario, particles: ParticleParameters, session: Session) 
 def starting_places(
     scenario: Scenario, count: int, rng: np.random.Generator, source: str,
 ) -> np.ndarray:
-    """Where the particles (`count`, 2) [m] of a scenario begin: as listed, else at random.
+    """Return initial positions (`count`, 2) [m] of a `scenario`: as listed, else drawn by `rng`.
 
-    InputError, naming `source`, where so many do not fit.
+    Raises InputError naming `source` if so many do not fit.
     """
     if scenario.particles:
         return np.array([(p.x_um, p.y_um) for p in scenario.particles]) * 1e-6
@@ -92,9 +92,9 @@ def starting_places(
 def make_bodies(
     scenario: Scenario, particles: ParticleParameters, start: np.ndarray, heading: np.ndarray,
 ) -> np.ndarray:
-    """The `particles` (N) of a scenario, of type BODY, with those effects that bodies can have.
+    """Return the `particles` (N) of a `scenario`, of type BODY, with its effects on bodies.
 
-    At `start` (N, 2) [m], with the direction `heading` (N,) [rad].
+    They start at `start` (N, 2) [m] with the `heading` (N,) [rad].
     """
     radius = np.full(len(start), scenario.radius)
     made = bodies(
@@ -107,7 +107,7 @@ def make_bodies(
 
 
 def _moment(scenario: Scenario) -> float:
-    """The moment [A·m²] that aligns as fast as asked."""
+    """Return the moment [A·m²] with the requested alignment time."""
     drag = rotational_drag(scenario.medium, scenario.radius)
     return drag / (scenario.alignment_ms * 1e-3 * scenario.reference_field)
 
@@ -116,7 +116,7 @@ def _without_noise(
     scenario: Scenario, particles: ParticleParameters, control: Commands | Feedback,
     start: np.ndarray, heading: np.ndarray, rng: np.random.Generator, source: str,
 ) -> Session:
-    """By equations without chance: only the camera's errors are random."""
+    """Simulate by deterministic equations; only the camera's errors are random."""
     camera = scenario.camera.camera()
     if not isinstance(control, Commands) or camera.exposure > 0:
         raise InputError(

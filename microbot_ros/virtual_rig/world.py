@@ -1,7 +1,7 @@
-"""The simulated world: many particles in a field, moved by fine Langevin steps.
+"""Simulated world: many particles in a field, moved by fine Langevin steps.
 
-On purpose the one other place in the project that moves particles: it integrates torques,
-flows and forces at a millisecond, so that what it makes tests the equations of `model`.
+This is on purpose a second implementation of the motion: it integrates torques, flows and forces
+at a millisecond, so that it tests the equations of `model`.
 """
 
 from __future__ import annotations
@@ -20,11 +20,16 @@ from microbot_ros.virtual_rig.dynamics import advance
 
 @dataclass(frozen=True)
 class FieldHistory:
-    """The field over time; each row holds until the next, and before the first there is none.
+    """Field over time; each row holds until the next, and there is none before the first.
 
-    `t` (K,) [s], ascending; `field` (K, N, 2) [T] at each particle, or (K, 1, 2) the same for
-    all; `frequency` (K,) [Hz] of a rolling field, (K, N) of what each particle makes of it, or
-    None.
+    Attributes
+    ----------
+    t : (K,) array [s]
+        Ascending.
+    field : (K, N, 2) or (K, 1, 2) array [T]
+        At each particle, or the same for all.
+    frequency : (K,) or (K, N) array [Hz], or None
+        Of a rolling field, or of each particle.
     """
 
     t: np.ndarray
@@ -33,26 +38,31 @@ class FieldHistory:
 
     @property
     def turns(self) -> np.ndarray:
-        """The frequency (K, 1), or (K, N) where each has its own [Hz]; 0 where nothing turns."""
+        """Frequency (K, 1) or (K, N) [Hz]; 0 without rotation."""
         if self.frequency is None:
             return np.zeros((len(self.t), 1))
         return self.frequency if self.frequency.ndim == 2 else self.frequency[:, None]
 
     @classmethod
     def uniform(cls, commands: Commands) -> FieldHistory:
-        """The same field everywhere."""
+        """Return a field of `commands` that is equal everywhere."""
         return cls(commands.t, commands.field[:, None, :], commands.frequency)
 
 
 class World:
-    """Particles and their clock.
+    """Particles and their clock, which starts at 0 s.
 
-    `bodies` (N,) of type BODY (see `body.bodies`) hold state and properties and change in
-    place; `rng` drives all chance. `half_extent` (2,) [m], where given, keeps the particles
-    between walls at ± that distance from the origin: they stop at a wall and slide along it.
-    `walls` (W, 4) [m] are others, thin and straight: x, y, x, y of their ends. Spheres never
-    overlap. `touched` (N,) says which have met another or one of the `walls`. The clock `t` [s]
-    starts at zero.
+    Spheres never overlap. `touched` (N,) tells which have met another or one of the `walls`.
+
+    Parameters
+    ----------
+    bodies : (N,) array of BODY
+        State and properties, changed in place; see `body.bodies`.
+    rng : Generator
+    half_extent : (float, float) [m]
+        Walls at ± this distance from the origin; particles stop at a wall and slide along it.
+    walls : (W, 4) array [m]
+        Thin straight walls: x, y, x, y of their ends.
     """
 
     def __init__(
@@ -69,23 +79,22 @@ class World:
 
     @property
     def position(self) -> np.ndarray:
-        """Where the particles are now (N, 2) [m], a copy."""
+        """Positions of the particles (N, 2) [m], a copy."""
         position = np.empty((len(self.bodies), 2))
         position[:, 0], position[:, 1] = self.bodies['x'], self.bodies['y']
         return position
 
     @property
     def heading(self) -> np.ndarray:
-        """Where they head now (N,) [rad], a copy, continuous over turns."""
+        """Headings of the particles (N,) [rad], a copy, continuous over turns."""
         return self.bodies['heading'].copy()
 
     def advance(self, until: float, history: FieldHistory) -> np.ndarray:
-        """Move on to the time `until` [s]; the mean position (N, 2) [m] on the way.
+        """Advance to the time `until` [s]; return the mean position (N, 2) [m] meanwhile.
 
-        The mean is what a camera sees whose shutter is open for that time. Steps are at most
-        1 ms, and each takes the row of the history in force at its middle, `delay` earlier for
-        a particle that has one: keep rows that old. A time not after the present returns the
-        present.
+        The mean is what a camera with an open shutter sees. Steps are at most 1 ms; each uses the
+        row of the `history` in force at its middle, `delay` earlier for a particle that has one:
+        keep rows that old. A time not after the present returns the present positions.
         """
         if until <= self.t:
             return self.position
@@ -101,5 +110,5 @@ class World:
         return mean
 
     def observe(self, position: np.ndarray) -> np.ndarray:
-        """What the camera makes of positions (N, 2) [m] beyond what the bodies say of it."""
+        """Return positions (N, 2) [m] as the camera shows them, beyond effects in the bodies."""
         return position

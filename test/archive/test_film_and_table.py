@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from command_line import microbot
 
-from microbot_ros.archive import batch, film_and_table, work
-from microbot_ros.archive.film_and_table import compare
+from microbot_ros.archive import batch, recordings, work
+from microbot_ros.archive.films import compare
 from microbot_ros.archive.recordings import FileCards, Found, find
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import read_session
@@ -134,9 +134,9 @@ def test_only_a_single_table_of_the_name_is_a_films(tmp_path: Path) -> None:
 
     film, other = found('a.mp4', 'film'), found('b.mp4', 'film')
     table, second = found('a.csv', 'table'), found('a.xlsx', 'table')
-    assert film_and_table.pairs([film, other, table]) == {film.path: table}
-    assert film_and_table.pairs([film, table, second]) == {}
-    assert film_and_table.pairs([film, found('a.avi', 'film'), table]) == {}
+    assert recordings.pairs([film, other, table]) == {film.path: table}
+    assert recordings.pairs([film, table, second]) == {}
+    assert recordings.pairs([film, found('a.avi', 'film'), table]) == {}
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason='the shared recordings are not here')

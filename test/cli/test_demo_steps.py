@@ -99,5 +99,5 @@ def test_the_file_of_its_rig_is_that_of_any_rig(tmp_path: Path) -> None:
         log = tmp_path / 'amplifier.jsonl'
         log.touch()
         file.write_text(demo._rig_file(tmp_path, tmp_path / 'port', log, 3, make(tmp_path)))
-        assert read_rig(file, '/').keys() == {*demo.NODES}
+        assert read_rig(file, '/').keys() == {*demo.NODES, 'cockpit'}
         assert yaml.safe_load(file.read_text())['virtual_rig']['ros__parameters']['seed'] == 3

@@ -19,6 +19,7 @@ import asyncio
 from websockets.sync.client import ClientConnection, connect
 
 from microbot_ros.cockpit.discovery import Discovery
+from microbot_ros.cockpit.recordings import Recordings
 from microbot_ros.cockpit.rig import RefusedError
 from microbot_ros.cockpit.server import Server
 
@@ -141,7 +142,7 @@ class Served:
     def __init__(self, folder: Path, host: str = '127.0.0.1', open_to_all: bool = True) -> None:
         self.rig = RememberingRig()
         self.server = Server(
-            self.rig, Discovery('/', folder), host, 0, open_to_all=open_to_all)
+            self.rig, Discovery('/', folder), Recordings(folder), host, 0, open_to_all=open_to_all)
         self.server.start()
         assert self.rig.watched.wait(10.0)
 

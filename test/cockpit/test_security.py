@@ -172,13 +172,13 @@ def test_loopback_is_told_from_the_rest() -> None:
 
 def test_a_port_that_is_taken_is_an_input_error(served: Any) -> None:
     with pytest.raises(InputError, match=f'port {served.port}'):
-        Server(served.rig, None, '127.0.0.1', served.port)  # type: ignore[arg-type]
+        Server(served.rig, None, None, '127.0.0.1', served.port)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize('host', ['no.such.host.invalid', '203.0.113.7', 'a b', '\x00', 'é' * 70])
 def test_a_place_that_is_not_ours_is_an_input_error(host: str) -> None:
     with pytest.raises(InputError):
-        Server(None, None, host, 0)  # type: ignore[arg-type]
+        Server(None, None, None, host, 0)  # type: ignore[arg-type]
 
 
 def test_idle_connections_do_not_keep_a_page_out(served: Any) -> None:

@@ -60,7 +60,8 @@ class VirtualRig:
             'recorder': {'recording': False, 'folder': str(self.folder / 'recording'),
                          'frame_every': 0},
             'cockpit': {'port': 0, 'token': False,
-                        'discoveries': str(self.folder / 'discoveries')}}
+                        'discoveries': str(self.folder / 'discoveries'),
+                        'recordings': str(self.folder)}}
         parameters.write_text(yaml.safe_dump({
             name: {'ros__parameters': values | self._more.get(name, {})}
             for name, values in nodes.items()}))

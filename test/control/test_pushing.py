@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from bench._rolling_loop import Rollers, RollingLoop
 from microbot_ros.control.contract import ModelError, ParticleLostError
 from microbot_ros.control.plugins.pushing import Pushing, PushingParameters
 from microbot_ros.control.testkit import controller_input, exercise
 from microbot_ros.model.model import Model
-from microbot_ros.virtual_rig.rolling_loop import Rollers, RollingLoop
 
 ALONG = np.linspace(0, 1, 61)
 BEND = 1e-6 * np.column_stack((60 * ALONG, 12 * np.sin(math.tau * ALONG)))

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench._rolling_loop import Rollers, RollingLoop
 from microbot_ros.control.contract import (
     Goals,
     ModelError,
@@ -18,7 +19,6 @@ from microbot_ros.control.planning.swarm_paths import Room, between, find_ways
 from microbot_ros.control.plugins.swarm import Swarm, SwarmParameters
 from microbot_ros.control.testkit import VIEW, controller_input, exercise
 from microbot_ros.model.model import Model
-from microbot_ros.virtual_rig.rolling_loop import Rollers, RollingLoop
 
 WALLS_UM = [0.0, -104.0, 0.0, -15.0, 0.0, 15.0, 0.0, 104.0]
 NO_WALLS = np.empty((0, 2), complex)

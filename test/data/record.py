@@ -89,13 +89,19 @@ def from_first_frame(recording: Path, out: Path) -> Path:
 
 
 def keep(recording: Path, name: str, nodes: list[str], end_s: float = 0.0) -> None:
-    """What the nodes say to a recording, beside this file."""
-    with tempfile.TemporaryDirectory() as folder, open_recording(recording) as source:
-        out = Path(folder) / name
-        plan = plan_replay(source, recording, nodes)
-        parameters = recorded_parameters(source, nodes, Path(folder))
-        Replay(recording, out, plan, parameters, end_s).run()
-        shutil.copy(out / f'{name}_0.mcap', HERE / f'{name}.mcap')
+    """What the nodes say to a recording, beside this file.
+
+    A pass for each node: in each one more takes what those before it say today.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        for node in nodes:
+            out = Path(folder) / node / name
+            with open_recording(recording) as source:
+                plan = plan_replay(source, recording, nodes)
+                parameters = recorded_parameters(source, nodes, Path(folder))
+                Replay(recording, out, plan, parameters, end_s).run()
+            recording, end_s = out, 0.0
+        shutil.copy(recording / f'{name}_0.mcap', HERE / f'{name}.mcap')
 
 
 if __name__ == '__main__':

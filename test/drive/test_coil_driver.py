@@ -726,6 +726,10 @@ class Sentinel:
 
     def abandon(self):
         self.ended.append('abandoned')
+        self.left_at()
+
+    def left_at(self):
+        pass
 
 
 @pytest.fixture
@@ -755,9 +759,10 @@ def test_without_its_sentinel_the_coils_are_at_zero_and_another_begins(sentinel)
     rig.connect().drive()
     first = rig.driver._last_resort
     first.there = False
+    first.left_at = lambda: sentinel.append(rig.driver._sent)
     assert 'watches' in rig.tripped(Reason.INTERNAL).detail
     assert rig.driver._last_resort is not first
-    assert sentinel == ['dismissed']
+    assert sentinel == ['abandoned', ZERO]  # zero goes out first
     rig.drive()
     assert rig.gate.fault is None
 

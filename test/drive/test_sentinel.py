@@ -104,9 +104,13 @@ def test_the_sentinel_is_as_quick_as_the_watchdogs_of_devices():
 
 def test_a_sentinel_that_hangs_holds_nobody_up(monkeypatch):
     monkeypatch.setattr(last_resort, '_LEAVE_S', 0.05)
+    monkeypatch.setattr(last_resort, '_FEED_S', 0.0)
     last = last_resort.LastResort([])
     os.kill(last._process.pid, signal.SIGSTOP)
-    until(lambda: not last._say(b'.' * 4096))  # full
+    fed = 0
+    while last.feed():
+        fed += 1
+    assert fed <= 4096  # a minute and a half, at fifty a second
     last.dismiss()
     assert last._process.returncode == -signal.SIGKILL
 
@@ -156,13 +160,25 @@ def test_a_dismissed_sentinel_says_nothing(lines):
     assert said(heard[0]) == said(heard[1]) == b''
 
 
-def test_an_abandoned_sentinel_that_hangs_holds_nobody_up():
+def test_an_abandoned_sentinel_that_hangs_holds_nobody_up_and_is_killed():
     last = last_resort.LastResort([])
     os.kill(last._process.pid, signal.SIGSTOP)
     last.abandon()
     assert last._process.returncode is None
-    os.kill(last._process.pid, signal.SIGKILL)
     until(lambda: last._process.returncode == -signal.SIGKILL)
+
+
+def test_the_sentinel_moves_before_it_watches(monkeypatch):
+    did = []
+    monkeypatch.setattr(sentinel, 'step_aside', lambda: did.append('aside'))
+    monkeypatch.setattr(sentinel, 'watch', lambda silence_s, words, _: did.append(
+        (silence_s, words)))
+    monkeypatch.setattr(signal, 'signal', lambda *_: None)
+    monkeypatch.setattr(sys, 'argv', ['sentinel.py', '0.5', '3=ff00'])
+    with open(os.devnull, encoding='utf-8') as feed:
+        monkeypatch.setattr(sys, 'stdin', feed)
+        sentinel.main()
+    assert did == ['aside', (0.5, [(3, b'\xff\x00')])]
 
 
 @pytest.mark.parametrize(('group', 'aside'), [

@@ -14,7 +14,7 @@ import pytest
 import serial
 from serial import rfc2217
 
-from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifier import AGAIN_S, Swing, Zero
 from microbot_ros.drive.amplifiers.serial_transfer import codec
 from microbot_ros.drive.amplifiers.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.drive.emulator.virtual import VirtualAmplifier
@@ -194,11 +194,10 @@ def test_the_bytes_of_a_session_and_no_others():
     zero = bytes.fromhex('7e00ff44') + bytes(68) + bytes.fromhex('0081')
     drive = (bytes.fromhex('7e00ff44') + bytes(44)
              + bytes.fromhex('0000803f 000000bf 00000000 0000803e') + bytes(8))
-    crc = codec.crc8(drive[4:])
-    driven = zero + drive + bytes((crc, 0x81))
-    assert received.startswith(driven + zero)
-    # A zero that no reading has shown after 10 ms is sent again.
-    assert not received[len(driven):].replace(zero, b'')
+    before, after = received.split(drive + bytes((codec.crc8(drive[4:]), 0x81)))
+    for zeros in (before, after):  # one that no reading has shown after 10 ms is sent again
+        assert zeros.startswith(zero)
+        assert not zeros.replace(zero, b'')
 
 
 @pytest.mark.parametrize(('fifth', 'sixth', 'fault'), [
@@ -258,6 +257,69 @@ def test_a_board_is_running_when_packets_have_kept_coming():
 def test_a_board_that_opening_the_port_resets_is_not_believed(packets):
     with pytest.raises(WrongDeviceError, match='bytes'):
         opening(packets)
+
+
+def reopening(report_s):
+    """Open a known board that reports its first currents after so long; the amplifier, when it
+    sent what, and for how long it listened at a time."""
+    clock, sent, patience = [0.0], [], []
+
+    def receive(left_s):
+        patience.append(left_s)
+        clock[0] += left_s
+        late = clock[0] >= report_s
+        return codec.encode(codec.measurement([0.0] * 6)) if late else b''
+
+    amplifier = SerialTransferAmplifier('nowhere', FULL_SCALE)
+    amplifier._known = True
+    amplifier.clock = SimpleNamespace(now=lambda: clock[0])
+    amplifier.open_port = lambda *_: SimpleNamespace(
+        receive=receive, send=lambda *packets: sent.append((clock[0], b''.join(packets))))
+    return amplifier, sent, patience
+
+
+def test_a_known_board_is_sent_zeros_from_the_first_moment_while_it_is_opened():
+    amplifier, sent, patience = reopening(0.1)
+    amplifier._open()
+    times = [moment for moment, _ in sent]
+    assert times[:2] == [0.0, AGAIN_S]
+    assert max(np.diff(times)) <= 2.5 * AGAIN_S
+    assert times[-1] >= 0.1
+    assert max(patience) <= AGAIN_S
+    zero = codec.encode(codec.command([0.0] * 4))
+    assert {packet for _, packet in sent} == {zero}
+    assert codec.duties(zero[4:-2]) == (0.0,) * 6
+
+
+def test_a_silent_board_is_waited_for_as_long_as_booting_takes():
+    amplifier, sent, _ = reopening(2.9)
+    amplifier._open()
+    amplifier, sent, _ = reopening(math.inf)
+    with pytest.raises(NoAnswerError):
+        amplifier._open()
+    assert sent[-1][0] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(('baud', 'sample_s'), [
+    (10_000_000, 0.0008), (500_000, 0.00185), (9600, 0.09635)])
+def test_currents_that_turn_leave_a_quarter_of_the_line_free(baud, sample_s):
+    """A packet has 74 bytes of ten bits."""
+    amplifier = SerialTransferAmplifier('nowhere', 2.0, baud=baud)
+    assert amplifier.sample_s == pytest.approx(sample_s, abs=1e-5)
+
+
+def test_a_report_may_be_as_old_as_a_usb_adapter_makes_it():
+    assert 0.017 <= SerialTransferAmplifier.report_age_s <= 0.03
+
+
+def test_a_board_that_turns_currents_is_sent_parts_of_full_scale():
+    amplifier, sent = SerialTransferAmplifier('nowhere', 4.0), []
+    assert amplifier.can_swing
+    amplifier._lines = [SimpleNamespace(send=sent.append)]
+    parts = [np.array([1.0, 0.0, -1.0, 0.5]) * factor for factor in (1.0, 2.0, -1.0)]
+    amplifier.write(np.zeros(4), swing=Swing(*parts, rate=30.0))
+    duties = [[0.25, 0.0, -0.25, 0.125], [0.5, 0.0, -0.5, 0.25], [-0.25, 0.0, 0.25, -0.125]]
+    assert sent == [codec.encode(codec.turn(duties, 30.0), codec.TURN_ID)]
 
 
 @pytest.mark.parametrize('channel', range(6))

@@ -1,4 +1,4 @@
-"""Magnetic force and torque, and the radius inside which the force may be left out."""
+"""Magnetic force and and the radius inside which the force may be left out."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from microbot_ros.magnetics.force import (
     force,
     force_speed,
     negligible_radius,
-    torque,
 )
 
 
@@ -58,11 +57,6 @@ def test_moment_follows_the_whole_field_background_included():
         speeds.append(np.hypot(*pull[:2]) / particle.drag)
     found = force_speed(coils, np.zeros((1, 3)), 1e-3, particle)
     assert found == pytest.approx(max(speeds), rel=1e-9)
-
-
-def test_torque_turns_the_moment_into_the_field():
-    found = torque(np.array([[2e-13, 0, 0], [0, 2e-13, 0]]), np.array([0, 3e-3, 0]))
-    np.testing.assert_allclose(found, [(0, 0, 6e-16), (0, 0, 0)])
 
 
 def test_numbers_of_the_papers_particle():

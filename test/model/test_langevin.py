@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from bench._langevin import simulate_langevin
 from microbot_ros.common.records import Commands
-from microbot_ros.model.physics.langevin import align_heading, simulate_langevin, step_grid
+from microbot_ros.model.physics.langevin import align_heading, step_grid
 from microbot_ros.model.physics.particle import (
     Fluid,
     Particle,

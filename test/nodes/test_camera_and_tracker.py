@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from command_line import microbot
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Point, PointStamped, Vector3Stamped
+from geometry_msgs.msg import Point, PointStamped, TwistStamped, Vector3Stamped
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 from std_msgs.msg import Header, String
@@ -273,11 +273,11 @@ def test_who_goes_unseen_is_carried_on_the_way_the_field_now_points(ros: Any) ->
 
 
 @pytest.mark.parametrize(('source', 'kind'), [
-    ('applied', MagneticField), ('command', Vector3Stamped), ('rotation', Vector3Stamped)])
+    ('applied', MagneticField), ('command', Vector3Stamped), ('rotation', TwistStamped)])
 def test_a_field_in_another_frame_turns_nothing(ros: Any, source: str, kind: type) -> None:
     graph = ros({'tracker': {'field_source': source}})
     tracker = graph.add('tracker')
-    topic = 'field/rotation' if source == 'rotation' else f'field/{source}'
+    topic = 'field/rotating' if source == 'rotation' else f'field/{source}'
     sent = graph.probe.create_publisher(kind, topic, 10)
     graph.until(lambda: sent.get_subscription_count() == 1)
     message = kind()

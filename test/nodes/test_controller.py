@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
+from geometry_msgs.msg import PoseArray, PoseStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from numpy.lib.recfunctions import repack_fields
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -537,9 +537,12 @@ def test_the_first_command_after_letting_go_starts_from_zero(
 
 def test_rollers_are_told_that_the_field_no_longer_turns(ros: Any) -> None:
     loop = Loop(ros, controller='open_loop', open_loop__frequency_hz=2.0, border_s=0.0)
-    turns = loop.graph.hear(Vector3Stamped, 'field/rotation')
-    loop.graph.until(lambda: loop.keep_seeing() or (turns and abs(turns[-1].vector.y) > 12.0))
-    loop.graph.until(lambda: turns[-1].vector.x == turns[-1].vector.y == 0)
+    rotating = loop.graph.hear(TwistStamped, 'field/rotating')
+    loop.graph.until(lambda: loop.keep_seeing() or (
+        rotating and abs(rotating[-1].twist.angular.y) > 12.0))
+    count = len(loop.fields)
+    loop.graph.until(lambda: len(loop.fields) > count)
+    assert loop.fields[-1].vector.x == loop.fields[-1].vector.y == 0
 
 
 def test_a_controller_that_was_held_up_acts_on_the_newest(ros: Any) -> None:

@@ -179,7 +179,7 @@ def _driver_and_commander(ros: Any, emulator: Any) -> tuple[Any, Any]:
     graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
     graph.probe.create_publisher(Vector3Stamped, 'field/command', 1)
     driver = graph.add('coil_driver')
-    graph.until(lambda: len(driver._commanders()) == 1)
+    graph.until(lambda: len(driver._commanders()[0]) == 1)
     return graph, driver
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -296,7 +296,7 @@ def test_a_camera_that_is_gone_is_said_and_for_how_long(ros: Any) -> None:
 @pytest.mark.parametrize(('parameters', 'topic', 'kind'), [
     ({}, 'field/applied', MagneticField),
     ({'field_source': 'command'}, 'field/command', Vector3Stamped),
-    ({'propulsion': 'rolling'}, 'field/rotation', Vector3Stamped),
+    ({'propulsion': 'rolling'}, 'field/rotating', TwistStamped),
     ({}, 'particles', PointCloud2)])
 def test_what_is_in_another_frame_is_not_taken(
         ros: Any, parameters: dict[str, Any], topic: str, kind: type) -> None:

@@ -1,4 +1,4 @@
-"""A field that turns, from two topics to what six coils carry."""
+"""A field that rotates, from its topic to what six coils carry."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
@@ -38,9 +38,9 @@ def graph(emulator: Any, ros: Any, tmp_path: Path) -> Any:
     made.due = 0.0
     assert made.add('coil_driver').active
     made.commands = made.probe.create_publisher(Vector3Stamped, 'field/command', 10)
-    made.rotations = made.probe.create_publisher(Vector3Stamped, 'field/rotation', 10)
+    made.rotating = made.probe.create_publisher(TwistStamped, 'field/rotating', 10)
     made.until(lambda: made.commands.get_subscription_count() == 1
-               and made.rotations.get_subscription_count() == 1)
+               and made.rotating.get_subscription_count() == 1)
     made.until(lambda: made.call(SetBool, 'coil_driver/arm', SetBool.Request(data=True)).success)
     driver = made.nodes['coil_driver']._driver
     made.until(lambda: _turn(made, (0.0,) * 3, (0.0,) * 3) or not driver.gate.holding)
@@ -53,10 +53,11 @@ def _turn(graph: Any, field: tuple[float, ...], turned: tuple[float, ...],
     if time.monotonic() < graph.due:
         return False
     graph.due = time.monotonic() + 0.02
-    now = graph.nodes['coil_driver'].seconds()
-    graph.rotations.publish(
-        messages.field_vector(np.array(turned), messages.to_stamp(now - older)))
-    graph.commands.publish(messages.field_vector(np.array(field), messages.to_stamp(now)))
+    stamp = messages.to_stamp(graph.nodes['coil_driver'].seconds() - older)
+    if any(turned):
+        graph.rotating.publish(messages.rotating(np.array(field), np.array(turned), stamp))
+    else:
+        graph.commands.publish(messages.field_vector(np.array(field), stamp))
     return False
 
 
@@ -143,11 +144,31 @@ def test_a_rotation_of_long_ago_is_not_driven(graph: Any, emulator: Any) -> None
     graph.until(lambda: emulator.zero)
 
 
-def test_a_rotation_by_somebody_else_ends_the_permission(graph: Any, emulator: Any) -> None:
+@pytest.mark.parametrize(('kind', 'topic'), [
+    (Vector3Stamped, 'field/command'), (TwistStamped, 'field/rotating')])
+def test_a_command_by_another_node_ends_the_permission(
+        graph: Any, emulator: Any, kind: type, topic: str) -> None:
     graph.until(lambda: not emulator.zero or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0)))
-    other = graph.nodes['coil_driver'].create_publisher(Vector3Stamped, 'field/rotation', 10)
+    other = graph.nodes['coil_driver'].create_publisher(kind, topic, 10)
     driver = graph.nodes['coil_driver']._driver
     graph.until(lambda: driver.gate.fault)
-    assert 'publishes field/rotation' in driver.gate.fault.detail
+    assert '2 publish commands: ' in driver.gate.fault.detail
     graph.until(lambda: emulator.zero)
     graph.nodes['coil_driver'].destroy_publisher(other)
+
+
+def test_a_rotation_that_was_stopped_does_not_begin_again(graph: Any, emulator: Any) -> None:
+    """Two topics keep no order: the rotation of an earlier frame may come after the zero."""
+    graph.until(lambda: not emulator.zero or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0)))
+    driver = graph.nodes['coil_driver']
+    now = driver.seconds()
+    graph.commands.publish(messages.field_vector(np.zeros(3), messages.to_stamp(now)))
+    graph.until(lambda: emulator.zero)
+    sent = driver._driver.amplifier.counters.frames_sent
+    graph.until(
+        lambda: driver._driver.amplifier.counters.frames_sent > sent + 3
+        or graph.rotating.publish(messages.rotating(
+            np.array([B, 0.0, 0.0]), np.array([0.0, math.tau * HERTZ, 0.0]),
+            messages.to_stamp(now - 0.01))))
+    assert emulator.zero
+    graph.until(lambda: not emulator.zero or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0)))

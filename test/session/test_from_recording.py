@@ -11,6 +11,7 @@ from microbot_ros.session.mcap.recorder import RecordingWriter
 
 CLOUD = 'sensor_msgs/msg/PointCloud2'
 JOINTS = 'sensor_msgs/msg/JointState'
+TWIST = 'geometry_msgs/msg/TwistStamped'
 MAGNETIC = 'sensor_msgs/msg/MagneticField'
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
@@ -49,6 +50,13 @@ def particles(ms: int, *rows: tuple, **options):
 
 def command(ms: int, x: float, y: float):
     return ms, '/field/command', VECTOR, vector(START, x, y)
+
+
+def rotating(ms: int, field: tuple[float, float], rate: tuple[float, float]):
+    types = typestore().types
+    make = types['geometry_msgs/msg/Vector3']
+    twist = types['geometry_msgs/msg/Twist'](make(*field, 0.0), make(*rate, 0.0))
+    return ms, '/field/rotating', TWIST, encode(TWIST, header(START), twist)
 
 
 FRAMES = [particles(ms, (0, ms * 1e-6, 2e-6), (7, 1e-6, -1e-6)) for ms in (0, 10, 20)]
@@ -93,7 +101,17 @@ def test_where_the_gate_lets_nothing_through_the_command_is_zero(tmp_path):
     assert commands.field.tolist() == [[0, 0], [1e-3, 0], [0, 1e-3], [0, 0]]
 
 
-def test_a_rotation_holds_until_the_next_and_ends_with_the_field(tmp_path):
+def test_a_field_rotates_until_the_next_that_stands(tmp_path):
+    commands = read_session(write(
+        tmp_path / 'run', command(0, 1e-3, 0),
+        rotating(2, (0, 2e-3), (-2 * np.pi * 5, 0)),
+        command(5, 0, 0), *FRAMES)).commands
+    np.testing.assert_allclose(commands.t, [0, 0.002, 0.005])
+    np.testing.assert_allclose(commands.frequency, [0, 5, 0])
+    assert commands.field.tolist() == [[1e-3, 0], [0, 2e-3], [0, 0]]
+
+
+def test_in_earlier_recordings_a_rotation_holds_until_the_next_and_ends_with_the_field(tmp_path):
     rate = 2 * np.pi * 5
     commands = read_session(write(
         tmp_path / 'run', command(0, 1e-3, 0), (2, '/field/rotation', VECTOR, vector(0, 0, rate)),

@@ -249,6 +249,7 @@ def _rig_file(folder: Path, port: Path, log: Path, seed: int, robots: Robots) ->
         # A shared machine may pause for a tenth of a second; beside a rig the default is right.
         'coil_driver': {'port': str(port), 'command_timeout_ms': 250.0,
                         'max_command_age_ms': 250.0},
+        'cockpit': {'recordings': str(folder)},
         'recorder': {'folder': str(folder / 'recording'), 'frame_every': 6,
                      'title': 'microbot demo'},
     }

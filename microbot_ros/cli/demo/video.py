@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 
 from microbot_ros.cli.demo.results import DemoRun
+from microbot_ros.cli.replay.film import poses_of
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes.base import messages
 from microbot_ros.session.mcap.recording import open_recording
-from microbot_ros.tracking import ImageToWorkspace, Poses
+from microbot_ros.tracking import ImageToWorkspace
 from microbot_ros.tracking.overlay import OverlayVideo, draw_overlay
 
 _RADIUS_PX = 8.0
@@ -37,7 +38,8 @@ def write_video(run: DemoRun, recording: Path, pixel_size: float, path: Path) ->
     trails: dict[int, deque[np.ndarray]] = {}
     with OverlayVideo(path, (height, width), rate, _RADIUS_PX) as film:
         for stamp, image in frames:
-            poses = _poses(run, stamp, camera)
+            points = run.particles.get(stamp, np.empty(0, PARTICLE))
+            poses = poses_of(points, camera, stamp)
             for i, place in zip(poses.id.tolist(), poses.xy, strict=True):
                 trails.setdefault(i, deque(maxlen=_TRAIL_FRAMES)).append(place)
             picture = draw_overlay(image, poses, _RADIUS_PX, trails)
@@ -64,17 +66,6 @@ def _fields(recording: Path) -> np.ndarray:
             field = message.magnetic_field
             rows.append((messages.to_seconds(message.header.stamp), field.x, field.y))
     return np.array(rows).reshape(-1, 3)
-
-
-def _poses(run: DemoRun, stamp: float, camera: ImageToWorkspace) -> Poses:
-    points = run.particles.get(stamp, np.empty(0, PARTICLE))
-    x, y = camera.pixels(np.column_stack([points['x'], points['y']])).T
-    nothing = np.zeros(len(points))
-    return Poses(
-        t=stamp, id=points['id'].astype(int), x_px=x, y_px=y,
-        theta_rad=camera.image_angle(points['theta']), vx_px_s=nothing, vy_px_s=nothing,
-        sigma_px=nothing, seen=np.ones(len(points), bool),
-        kind=np.zeros(len(points), int))
 
 
 def _draw_estimates(picture: np.ndarray, run: DemoRun, stamp: float,

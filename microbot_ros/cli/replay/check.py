@@ -110,38 +110,33 @@ def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
 
 def _compared(recorded: Recording, replayed: Recording, replay: Replay, tolerance: float,
               progress: Console) -> list[tuple[TopicDifference, Doubt | None]]:
-    """Compare node after node: one that was given other answers may answer otherwise itself."""
+    """Compare the answers of each node."""
     found: list[tuple[TopicDifference, Doubt | None]] = []
-    before: Doubt | None = None
     for node, topics in replay.plan.answers.items():
         player = replay.players[node]
-        doubt = min(filter(None, (before, player.doubt)), key=lambda one: one.first_ns,
-                    default=None)
+        allowed, doubt = tolerance, player.doubt
         if not player.ordered:
-            tolerance = max(tolerance, ORDER_TOLERANCE)
+            allowed = max(tolerance, ORDER_TOLERANCE)
             doubt = doubt or Doubt(0, f'the order in which the {node} took things in is not '
                                       'recorded', ORDER_SHARE)
-        for topic in compare(
-                recorded, replayed, {*topics}.intersection([*recorded.topics, *replayed.topics]),
-                _answered(recorded, topics[0], player.played, progress), tolerance, doubt):
-            found.append((topic, doubt))
-            if topic.judged_to_ns is not None and doubt:
-                before = Doubt(topic.judged_to_ns, doubt.reason)
+        found += [(topic, doubt) for topic in compare(
+            recorded, replayed, {*topics}.intersection([*recorded.topics, *replayed.topics]),
+            _answered(recorded, topics, player.played, progress), allowed, doubt)]
     return found
 
 
 def _answered(
-    recorded: Recording, answer: str, stamps: set[int], progress: Console,
+    recorded: Recording, topics: tuple[str, ...], stamps: set[int], progress: Console,
 ) -> set[int]:
     """Return the frames that a node answered when it was recorded; all, where it answered none.
 
     A node that was started later, was ended earlier, or held poses for too old skipped frames.
     """
-    answered = stamps.intersection(header_stamp_ns(message.data)
-                                   for message in recorded.messages([answer])
-                                   if answer in recorded.topics) or stamps
+    there = [topic for topic in topics if topic in recorded.topics]
+    answered = stamps.intersection(
+        header_stamp_ns(message.data) for message in recorded.messages(there)) or stamps
     if passed := len(stamps) - len(answered):
-        progress.print(f'{answer}: left out {passed} of {len(stamps)} frames, which were not '
+        progress.print(f'{topics[0]}: left out {passed} of {len(stamps)} frames, which were not '
                        'answered when it was recorded', soft_wrap=True)
     return answered
 

@@ -24,6 +24,8 @@ from microbot_ros.common.errors import InputError
 @click.option('--into-live-rig', is_flag=True,
               help='Play even where nodes of a rig are live: goals and commands of the past drive '
                    'it.')
+@click.option('--film', type=click.Path(path_type=Path, allow_dash=True), metavar='FILE',
+              help='Draw it as a film, an MP4, in place of playing it; - is standard output.')
 @click.option('--check', is_flag=True,
               help="Put it through today's nodes, and compare with what was "
                    'recorded.')
@@ -44,7 +46,7 @@ from microbot_ros.common.errors import InputError
               help='With --check: also write the differences as JSON.')
 def command(
     session: Path, rate: float, start: float, end: float, loop: bool, topics: tuple[str, ...],
-    into_live_rig: bool, check: bool, nodes: tuple[str, ...], tolerance: float,
+    into_live_rig: bool, film: Path | None, check: bool, nodes: tuple[str, ...], tolerance: float,
     config: Path | None, policy: Path | None, out: Path | None, json_path: Path | None,
 ) -> None:
     """Play SESSION, a folder or an MCAP recording, through its topics, with /clock.
@@ -64,6 +66,7 @@ def command(
     Examples, recorded tracks through today's model at ten times the speed; what did my change do?
       microbot replay out/demo/recording --rate 10 --topic particles --topic field/applied
       microbot replay out/demo/recording --check --node model
+      microbot replay out/demo/recording --film demo.mp4
     """
     if check:
         from microbot_ros.cli.replay.check import run_check
@@ -77,6 +80,14 @@ def command(
     if nodes or tolerance or config or policy or out or json_path:
         raise InputError('--node, --tolerance, --config, --policy, --out, --json',
                          'expected only with --check')
+    if film:
+        if rate != 1.0 or start or end or loop or topics or into_live_rig:
+            raise InputError('--rate, --start, --end, --loop, --topic, --into-live-rig',
+                             'expected only without --film')
+        from microbot_ros.cli.replay.film import write_film
+
+        write_film(session, film)
+        return
     from microbot_ros.nodes.process import run
     from microbot_ros.session.replay.playback import Playback, open_source
 

@@ -37,16 +37,12 @@ const named = (sentence) => [...new Set([sentence.split(/ \(|: |; /)[0].replace(
 function showLost(seconds) {
   byId('rig-chip').dataset.state = 'unknown';
   setText(byId('rig-chip'), CHIPS.unknown);
-  setText(byId('rig-sentence'),
-    'No link to the cockpit’s node: what is shown is old, and nothing can be sent.');
+  setText(byId('rig-sentence'), 'No link to the cockpit’s node: what is shown is old, and nothing can be sent.');
   setText(byId('fact-link'), `lost for ${age(seconds * 1000)}`);
   document.title = 'no link · cockpit';
 }
 
-function recording(now) {
-  if (!now?.on) return 'off';
-  return `${clock(now.seconds)}, ${now.lost ?? 0} lost`;
-}
+const recording = (now) => (now?.on ? `${clock(now.seconds)}, ${now.lost ?? 0} lost` : 'off');
 
 function control(now) {
   if (!now) return '–';

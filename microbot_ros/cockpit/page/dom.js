@@ -21,20 +21,19 @@ export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-// One child for each item of `items`, kept by its key: `create(item)` makes, `update(node, item)`
-// fills it in. Nodes of keys that are gone are removed.
-export function keyed(parent, items, keyOf, create, update) {
+// One child for each item of `items`, in their order, kept by its key: `create(item)` makes,
+// `update(node, item)` fills it in. Nodes of keys that are gone are removed.
+export function keyed(parent, items, keyOf, create, update = () => {}) {
   const known = (parent.known ??= new Map());
   const present = new Set();
-  for (const item of items) {
+  items.forEach((item, index) => {
     const key = keyOf(item);
     present.add(key);
-    if (!known.has(key)) {
-      known.set(key, create(item));
-      parent.append(known.get(key));
-    }
-    update(known.get(key), item);
-  }
+    if (!known.has(key)) known.set(key, create(item));
+    const node = known.get(key);
+    if (parent.children[index] !== node) parent.insertBefore(node, parent.children[index] ?? null);
+    update(node, item);
+  });
   for (const [key, node] of known) {
     if (present.has(key)) continue;
     node.remove();

@@ -29,18 +29,16 @@ export class Drive {
       byId('controller').value = name;
     }
     setText(byId('controller-now'),
-      name ? `At work: ${name}. ${summaries.get(name) ?? ''}` : 'No controller was heard yet.');
+      name ? `At work: ${name.replaceAll('_', ' ')}. ${summaries.get(name) ?? ''}` : 'No controller was heard yet.');
     setText(byId('stick-hint'), takes?.includes('joystick')
       ? 'Drag, or focus it and hold arrow keys or W A S D. A gamepad’s left stick steers too, its buttons stop. Let go, and the field goes to zero.'
       : 'This controller is not steered by hand; teleop is: switch to it first.');
     const { distance_um, done, driven, sentence } = controller;
     setText(byId('going'), [driven?.length && `Drives particle ${driven.join(', ')}.`, done ? 'Arrived.' : known(distance_um) && `${fixed(distance_um, 1)} µm to go.`,
       sentence && `It says: ${sentence}.`].filter(Boolean).join(' '));
-    const settable = (parameters ?? []).filter((one) => !one.read_only);
-    const fixed = (parameters ?? []).filter((one) => one.read_only);
-    const own = (one) => one.name.startsWith(`${name}.`);
-    for (const [place, rows] of [['parameters', settable.filter(own)],
-      ['parameters-all', [...settable.filter((one) => !own(one)), ...fixed]]]) {
+    const all = (parameters ?? []).toSorted((a, b) => Boolean(a.read_only) - Boolean(b.read_only));
+    const basic = (one) => !one.read_only && one.name.startsWith(`${name}.`);
+    for (const [place, rows] of [['parameters', all.filter(basic)], ['parameters-all', all.filter((one) => !basic(one))]]) {
       keyed(byId(place), rows, (one) => `${name} ${one.name} ${one.type}`, (one) => this.#row(one), update);
     }
   }
@@ -89,10 +87,8 @@ function field({ type, minimum, maximum, choices }) {
 }
 
 function limits({ minimum, maximum }) {
-  const said = [''];
-  if (maximum >= LARGEST) said.push(`At least ${minimum}.`);
-  else if (minimum != null && maximum != null) said.push(`From ${minimum} to ${maximum}.`);
-  return said.join(' ');
+  if (maximum >= LARGEST) return ` At least ${minimum}.`;
+  return minimum != null && maximum != null ? ` From ${minimum} to ${maximum}.` : '';
 }
 
 // What is being typed stays; everything else shows the value that is in force.

@@ -1,8 +1,7 @@
 // What happened since the cockpit's node began: when, from which page or node, in whole sentences.
 
-import { byId, make } from './dom.js';
-
-const MARKS = { ok: '✓', refused: '✕', error: '✕', warning: '!', note: '·' };
+import { byId, keyed, make } from './dom.js';
+import { MARKS } from './messages.js';
 
 export function eventsPanel(link) {
   let kept = [];
@@ -46,13 +45,11 @@ export function remedy({ cause, cure } = {}) {
 
 // Above the parts, whichever is in view, while a fault stands.
 export function whyPanel(link) {
-  let shown = '';
   link.on('state', ({ why, rig, sentence }) => {
-    const now = rig === 'fault' ? JSON.stringify([sentence, why]) : '';
-    if (now === shown) return;
-    shown = now;
-    byId('why').hidden = !now;
-    byId('panels').scrollTop = 0;
-    byId('why').replaceChildren(...(now ? [make('b', {}, `${sentence}.`), ...remedy(why ?? {})] : []));
+    byId('why').hidden = rig !== 'fault';
+    keyed(byId('why'), rig === 'fault' ? [{ sentence, ...why }] : [], (one) => JSON.stringify(one), (one) => {
+      byId('panels').scrollTop = 0;
+      return make('span', {}, make('b', {}, `${one.sentence}.`), ...remedy(one));
+    });
   });
 }

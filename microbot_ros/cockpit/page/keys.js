@@ -25,12 +25,8 @@ export class Keys {
   }
 
   value() {
-    const sum = [0, 0];
-    for (const code of this.pressed) {
-      sum[0] += AXES[code][0];
-      sum[1] += AXES[code][1];
-    }
-    return sum;
+    const codes = [...this.pressed];
+    return [0, 1].map((axis) => codes.reduce((sum, code) => sum + AXES[code][axis], 0));
   }
 
   forget() {

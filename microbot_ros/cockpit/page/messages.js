@@ -3,7 +3,7 @@
 import { byId, make } from './dom.js';
 
 const KEPT = 4;
-const MARKS = { ok: '✓', refused: '✕', note: '·' };
+export const MARKS = { ok: '✓', refused: '✕', error: '✕', warning: '!', note: '·' };
 
 // Of those about one `topic` only the last stays.
 export function say(level, text, topic = null) {

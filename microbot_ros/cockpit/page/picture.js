@@ -45,10 +45,8 @@ export class Picture {
 
   #draw(bitmap, stamp) {
     const { canvas } = this;
-    if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
-      canvas.width = bitmap.width;
-      canvas.height = bitmap.height;
-    }
+    const { width, height } = bitmap;
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     this.context.drawImage(bitmap, 0, 0);
     bitmap.close();
     this.stamp = stamp;

@@ -10,6 +10,8 @@ const MODES = {
   like: ['Teach: this', 'Click something the tracker should find from now on.'],
   unlike: ['Teach: not this', 'Click something the tracker should leave out from now on.'],
 };
+// What a controller must take for that, and one that does.
+const NEEDS = { goal: ['goals', 'waypoint'], path: ['path', 'path_following'] };
 const NEAR = 24;
 // A stroke [points of the page]: from where a click becomes one, and between its corners.
 const STROKE = 8;
@@ -47,7 +49,16 @@ export class Pointing {
     byId('path-send').onclick = () => this.#sendPath();
     byId('path-discard').onclick = () => this.#setPoints([]);
     byId('clear-goals').onclick = () => order(this.link, 'Clear goals', 'clear_goals');
+    byId('let-drive').onclick = () => order(this.link, 'Switch', 'switch_controller', { name: NEEDS[this.mode][1] });
     this.link.on('lost', () => this.#drop());
+    this.link.on('state', ({ controller }) => this.#offer(controller ?? {}));
+  }
+
+  // Where this controller would refuse what is clicked: one that takes it.
+  #offer({ takes, available }) {
+    const [what, name] = NEEDS[this.mode] ?? [];
+    byId('let-drive').hidden = !name || !takes || takes.includes(what) || !available.some((one) => one.name === name);
+    setText(byId('let-drive'), `Let ${name?.replaceAll('_', ' ')} drive`);
   }
 
   #enter(mode) {

@@ -24,7 +24,8 @@ export class Link {
   }
 
   // `listener` hears the messages of a kind, `state` with all its parts, whichever of them came;
-  // and of this object 'picture' {stamp, jpeg}, 'up', 'lost', 'refused' and the reason.
+  // and of this object 'picture' {stamp, jpeg}, 'asked' {verb, fields}, 'up', 'lost',
+  // 'refused' and the reason.
   on(kind, listener) {
     if (!this.listeners.has(kind)) this.listeners.set(kind, []);
     this.listeners.get(kind).push(listener);
@@ -35,6 +36,7 @@ export class Link {
   ask(verb, fields = {}) {
     if (!this.up) return Promise.resolve({ ok: false, reason: 'there is no link to the rig' });
     const id = ++this.lastId;
+    this.#say('asked', { verb, fields });
     return new Promise((resolve) => {
       this.asked.set(id, resolve);
       this.socket.send(JSON.stringify({ verb, id, ...fields }));

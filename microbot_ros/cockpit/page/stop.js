@@ -51,10 +51,7 @@ export class Stopper {
     this.#going = true;
     show('waiting');
     while (run === this.#run) {
-      if (!this.link.up) {
-        this.#unsent();
-        return;
-      }
+      if (!this.link.up) return this.#unsent();
       const late = setTimeout(() => alarm(`STOP was sent, no answer yet. ${BY_HAND}`), SLOW_MS);
       const { ok, reason, zero } = await this.link.ask('stop');
       clearTimeout(late);
@@ -62,8 +59,7 @@ export class Stopper {
       if (ok) {
         this.end();
         show(zero ?? null);
-        say('ok', reason ? `STOP: ${reason}` : 'STOP: done', 'stop');
-        return;
+        return say('ok', reason ? `STOP: ${reason}` : 'STOP: done', 'stop');
       }
       show(zero ?? 'unreachable');
       say('refused', `STOP: ${reason}. ${BY_HAND}`, 'stop');

@@ -27,8 +27,7 @@ export class View {
     return other;
   }
 
-  // Without a camera: an empty ground, doubled until it holds all `particles`, and their places
-  // on it.
+  // Without a camera: an empty ground, doubled until it holds all `particles`; their places on it.
   place(particles) {
     // Those that came before the node knew the camera lie nowhere in its picture.
     if (this.camera) return particles.filter(({ x_px }) => x_px !== null);

@@ -1,4 +1,4 @@
-"""Whose goal is whose, also while particles come and go."""
+"""Assignment of goals to particles, stable while particles come and go."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from microbot_ros.control.steering.courses import goals_in_reach
 
 
 class Assignment:
-    """Keeps each goal with its particle from the tick on which the goals were new.
+    """Assigns each goal to a particle from the tick on which the goals were new.
 
-    Goals without ids go to the particles seen then, in ascending order of their ids.
+    Goals without ids go to the particles tracked then, in ascending order of their ids.
     """
 
     def __init__(self) -> None:
@@ -19,8 +19,9 @@ class Assignment:
         self._ids = NO_IDS
 
     def update(self, inputs: ControllerInput) -> bool:
-        """Look at the goals of `inputs`; whether they are new. GoalError for one outside the
-        workspace.
+        """Take the goals of `inputs` and return whether they are new.
+
+        Raises GoalError for a goal outside the workspace.
         """
         goals, kept = inputs.goals, self._goals
         same = np.array_equal(goals.position, kept.position)
@@ -34,9 +35,10 @@ class Assignment:
         return True
 
     def pairs(self, inputs: ControllerInput) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (K,) in `inputs` of the particles that have a goal, and their goals (K, 2) [m].
+        """Return rows (K,) in `inputs` of the particles with goals, and the goals (K, 2) [m].
 
-        Both empty without goals; ParticleLostError where goals are left but no particle.
+        Both are empty without goals; ParticleLostError if there are goals but none of their
+        particles.
         """
         _, rows, goals = np.intersect1d(inputs.ids, self._ids, return_indices=True)
         if len(self._ids) and not len(rows):

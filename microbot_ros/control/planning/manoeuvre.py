@@ -1,9 +1,9 @@
-"""Plans to begin with, from what lag makes possible: turn, coast apart, go on together.
+"""Initial plans that use lag: turn, coast apart, continue together.
 
-Particles that lag differently point differently, relative to φ, while they turn. Without a field
-they keep that, and swim apart along directions one field could never give them together. How
-to turn and how long to coast are tried on a grid; the leg together that follows is least
-squares in closed form.
+Particles with different lags point differently relative to φ while they turn. Without a field they
+keep these directions and swim apart along directions that one field could never give them
+together. The turn and the coasting time are searched on a grid; the leg together that follows is
+a least-squares solution in closed form.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from microbot_ros.control.contract import Workspace
 from microbot_ros.control.planning.plan import Plan, Swarm
 
+# Choices: the grid of the search, whose best plan `refine` improves.
 _DIRECTIONS = np.exp(2j * np.pi * np.arange(16) / 16)
 _ASIDE = np.exp(1j * np.radians([-160, -130, 130, 160]))
 _COASTS = np.linspace(0, 1, 10) ** 1.5
@@ -23,11 +24,21 @@ _COASTS = np.linspace(0, 1, 10) ** 1.5
 
 @dataclass(frozen=True)
 class Task:
-    """What is asked of a plan.
+    """Goal and constraints of a plan.
 
-    `goal` (N,) complex [m]; the field's `limit` [T]; the `workspace` shrunk by its margin;
-    `obstacles` (O,) complex [m] of radius (O,) [m] `clearance`; a second counts like
-    `impatience` [m] of error; headings wander without a field by `wander` [rad²/s].
+    Attributes
+    ----------
+    goal : (N,) complex array [m]
+    limit : float
+        Largest field [T].
+    workspace : Workspace
+        Reduced by the margin.
+    obstacles, clearance : (O,) complex array [m], (O,) array [m]
+        Centres and radii.
+    impatience : float
+        Error that counts like one second [m/s].
+    wander : float
+        Rotational diffusion without a field [rad²/s].
     """
 
     goal: np.ndarray
@@ -41,8 +52,10 @@ class Task:
 
 @dataclass(frozen=True)
 class _Opening:
-    """Ways to begin: V `field` (K, V, 2) [T] in spans of `duration` (K,) [s], each of which may
-    be broken off after any number of spans from `least` on."""
+    """Candidate starts of a plan: V variants of `field` (K, V, 2) [T] over `duration` (K,) [s].
+
+    Each may end after any number of spans from `least` on.
+    """
 
     duration: np.ndarray
     field: np.ndarray
@@ -50,9 +63,9 @@ class _Opening:
 
 
 def search(swarm: Swarm, task: Task, part: int = 0, parts: int = 1) -> Plan:
-    """The cheapest for a `task` of turning a `swarm` somehow, coasting, and a leg together.
+    """Return the cheapest plan for a `task` of turning a `swarm`, coasting, and a leg together.
 
-    With `parts` only each `parts`-th way to begin is tried, from the one numbered `part` on.
+    Of the candidate starts only every `parts`-th is tried, from number `part` on.
     """
     slowest = swarm.slowest * swarm.models[0].reference_field / task.limit
     far = float(np.abs(task.goal - swarm.position).max())
@@ -66,7 +79,7 @@ def search(swarm: Swarm, task: Task, part: int = 0, parts: int = 1) -> Plan:
 
 
 def _openings(limit: float, slowest: float) -> list[_Opening]:
-    """Turn from the headings as they are; or first align all, then turn far."""
+    """Return turns from the present headings, and large turns after an alignment of all."""
     from_here = _Opening(
         slowest * np.array([0.2, 0.3, 0.3, 0.4, 0.6, 1.0]),
         np.repeat(_vectors(_DIRECTIONS)[None], 6, axis=0) * limit, 0)
@@ -84,11 +97,10 @@ def _vectors(z: np.ndarray) -> np.ndarray:
 
 def _best(swarm: Swarm, task: Task, opening: _Opening,
           coasts: np.ndarray, drift: np.ndarray) -> tuple[float, Plan]:
-    """The cheapest plan that begins with an opening, and its cost [m²].
+    """Return cost [m²] and plan of the cheapest plan with this opening.
 
-    `drift` (N,) complex [m/s] is taken as it is now, until the end.
-
-    Arrays are (spans of the opening, coasts, ways to begin, N).
+    `drift` (N,) complex [m/s] counts as constant. Arrays are (spans of the opening, coasts,
+    candidate starts, N).
     """
     paths, headings = swarm.paths(opening.duration, opening.field)
     turned = np.concatenate([np.zeros_like(paths[:1]), np.cumsum(paths, 0)])[opening.least:]
@@ -97,7 +109,7 @@ def _best(swarm: Swarm, task: Task, opening: _Opening,
     spent = np.concatenate([[0.0], np.cumsum(opening.duration)])[opening.least:, None, None]
     power = np.vdot(swarm.velocity, swarm.velocity).real
     together = np.zeros(middle.shape[:-1], complex)
-    for _ in range(2 if np.any(drift) else 1):  # how long it drifts depends on the way
+    for _ in range(2 if np.any(drift) else 1):  # the duration of the drift depends on the path
         taken = spent + coasts[:, None] + np.abs(together)
         left = task.goal - middle - drift * taken[..., None]
         together = (left @ swarm.velocity.conj()) / power
@@ -114,7 +126,7 @@ def _best(swarm: Swarm, task: Task, opening: _Opening,
 
 
 def _trespass(start: np.ndarray, middle: np.ndarray, end: np.ndarray, task: Task) -> np.ndarray:
-    """A cost [m²] for leaving the workspace or crossing an obstacle on the two legs."""
+    """Return the cost [m²] of leaving the workspace or crossing an obstacle on the two legs."""
     view = task.workspace
     cost = np.zeros(middle.shape[:-1])
     for place in (middle, end):
@@ -129,7 +141,7 @@ def _trespass(start: np.ndarray, middle: np.ndarray, end: np.ndarray, task: Task
 
 
 def _distance(place: complex, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """From a place to the straight ways between a and b."""
+    """Return the distance of a place from the straight lines between a and b."""
     way = b - a
     power = np.abs(way) ** 2
     part = ((place - a) * way.conj()).real / np.where(power > 0, power, 1.0)
@@ -145,7 +157,7 @@ def _compose(start: Plan, coast: float, together: complex, limit: float) -> Plan
 
 
 def _leg(U: complex, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Spans of a leg along U [s] at full field: short ones first, where the turn is."""
+    """Return spans of a leg along U [s] at full field, short ones first, where the turn is."""
     length = max(abs(U), 1e-3)
     duration = length * np.array([0.05, 0.1, 0.15, 0.2, 0.25, 0.25])
     along = cmath.rect(limit, cmath.phase(U))

@@ -1,4 +1,4 @@
-"""A course of the field over the next seconds, and what it makes of every particle."""
+"""Plan of the field over the next seconds, and its effect on every particle."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from microbot_ros.model.heading import heading_course
 from microbot_ros.model.model import Model
 
 QUICKEST = 0.02
-"""Alignment time [s] that stands in where the model has none, so that plans are smooth in B."""
+"""Choice: alignment time [s] if the model has none, so that plans are smooth in B."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """`field` (K, 2) [T], each held for its part of `duration` (K,) [s]."""
+    """`field` (K, 2) [T], each row held for its `duration` (K,) [s]."""
 
     duration: np.ndarray
     field: np.ndarray
 
     @property
     def length(self) -> float:
-        """The time [s] it takes."""
+        """Duration of the plan [s]."""
         return float(self.duration.sum())
 
     def after(self, dt: float) -> Plan:
-        """What is left of it `dt` [s] later."""
+        """Return the remaining plan `dt` [s] later."""
         ends = np.cumsum(self.duration) - dt
         left = ends > 1e-6
         return Plan(np.minimum(self.duration, ends)[left], self.field[left])
@@ -36,11 +36,19 @@ class Plan:
 
 @dataclass(frozen=True)
 class Swarm:
-    """The particles a plan is for, when it begins.
+    """State of N particles at the start of a plan.
 
-    `ids` (N,); `position` (N,) complex [m]; `velocity` c = v e^{iφ} (N,) [m/s]; `heading` (N,):
-    e^{i(θ − φ)}; `models` (N,): the model as each particle obeys it, differing in the alignment
-    lag; `t` [s].
+    Attributes
+    ----------
+    ids : (N,) int array
+    position : (N,) complex array [m]
+    velocity : (N,) complex array
+        Velocity phasor v e^{iφ} [m/s].
+    heading : (N,) complex array
+        e^{i(θ − φ)}.
+    models : tuple of N Model
+        Models of the particles, which differ in the alignment lag.
+    t : float [s]
     """
 
     ids: np.ndarray
@@ -52,16 +60,17 @@ class Swarm:
 
     @property
     def slowest(self) -> float:
-        """The longest alignment time [s] at the reference field."""
+        """Longest alignment time [s] at the reference field."""
         return max(model.alignment_time for model in self.models)
 
     def paths(self, duration: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Through K spans of `duration` (K,) [s] under V variants of `field` (K, V, 2) [T]:
+        """Integrate headings through K spans of `duration` (K,) [s] under V variants of `field`.
 
-        ∫e^{i(θ − φ)} dt of each (K, N, V) [s] and the heading at the edges (K + 1, N, V).
+        `field` is (K, V, 2) [T]. Returns ∫e^{i(θ − φ)} dt (K, N, V) [s] and the headings at the
+        edges of the spans (K + 1, N, V).
         """
         paths, headings = [], []
-        # The models differ in their lag, which is no part of the context.
+        # The models differ in their lag only, which is not part of the context.
         context = self._context(self.models[0], duration, self.models[0].field(field))
         for model, start in zip(self.models, self.heading, strict=True):
             course = heading_course(model, context, np.full(field.shape[1], start))
@@ -71,9 +80,10 @@ class Swarm:
 
     def surroundings(self, duration: np.ndarray, field: np.ndarray,
                      position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Factors on the speed and drift, complex [m/s], both (K, ..., N).
+        """Return speed factors and drift (complex) [m/s], both (K, ..., N).
 
-        `field` (K, ..., 2) [T] in spans of `duration` (K,) [s]; `position` (K, ..., N) [m].
+        `field` (K, ..., 2) [T] in spans of `duration` (K,) [s]; `position` (K, ..., N) complex
+        [m].
         """
         model = self.models[0]
         places = Places(np.stack([position.real, position.imag], -1), self.ids,
@@ -90,33 +100,35 @@ class Swarm:
         shape = (len(duration), *(1,) * (field.ndim - 2))
         span = duration.reshape(shape)
         middle = self.t + np.cumsum(duration).reshape(shape) - span / 2
-        # The command changes where a span begins.
+        # The command changes at the start of a span.
         return EffectContext(
             middle, span, field, np.ones(shape), model.reference_field, places, span / 2)
 
 
 def with_lags(model: Model, lags: list[float | None]) -> tuple[Model, ...]:
-    """The model as particles of alignment times `lags` [s] obey it; None: what the model says."""
+    """Return the `model` of particles with alignment times `lags` [s]; None: that of the model."""
     common = max(model.alignment_time, QUICKEST)
     return tuple(model.with_effect(AlignmentLag(tau=lag or common)) for lag in lags)
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """What a plan comes to: `position` (K, N) complex [m] at the end of each span, and how it
-    answers to the field: `response` (K, N, 2K) complex, ∂position/∂field [m] per unit of the
-    field's limit, x and y of the first span first."""
+    """Predicted result of a plan.
+
+    `position` (K, N) complex [m] at the end of each span; `response` (K, N, 2K) complex,
+    ∂position/∂field [m] per unit of the field's limit, x and y of the first span first.
+    """
 
     position: np.ndarray
     response: np.ndarray
 
 
 def roll_out(swarm: Swarm, plan: Plan, limit: float) -> Rollout:
-    """Follow a plan with a `swarm`, and every plan that differs from it in one component of one
-    span.
+    """Predict the result of a `plan` for a `swarm`, and its derivative by the field.
 
-    The derivative is a difference over a thousandth of `limit` [T]; the turning being solved
-    exactly, it has no noise. Speed factors and drift are taken at the places of the plan itself.
+    The derivative is a difference over a thousandth of `limit` [T]; it has no noise, since
+    headings are integrated exactly. Speed factors and drift are those at the positions of the plan
+    itself.
     """
     count = len(plan.duration)
     step = 1e-3

@@ -1,4 +1,4 @@
-"""Improves a plan: one Gauss–Newton step, a quadratic programme with obstacles and borders."""
+"""Refinement of a plan: Gauss–Newton steps, quadratic programmes with obstacles and borders."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from microbot_ros.control.planning.manoeuvre import Task
 from microbot_ros.control.planning.plan import Plan, Rollout, Swarm, roll_out
 
 MICROMETRE = 1e-6
-"""Lengths in the programme are in micrometres, fields in units of their limit: numbers near 1."""
+"""Scaling of the programme: lengths in µm, fields in units of their limit, so values near 1."""
 
 _FARTHEST = 0.4
-"""How far one step may change a component of the field, of its limit."""
+"""Choice: largest change of a field component in one step, of the limit."""
 _EFFORT = 0.02
-"""Weight of the change itself [µm²]: keeps the programme well posed."""
+"""Choice: weight of the change itself [µm²], which keeps the programme well posed."""
 _PENALTY = 50.0
-"""What a micrometre of trespass costs [µm²]."""
+"""Choice: cost of a micrometre inside an obstacle or beyond a border [µm²]."""
 _USABLE = (1, 2)
-"""OSQP's numbers for solved, and solved inaccurately."""
+"""OSQP's codes for solved, and solved inaccurately."""
 
 
 def cost(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout) -> float:
-    """What a plan of a `swarm`, with its `rollout`, costs for a `task` [µm²]: mean square error at
-    its end, time, wandering, trespass.
+    """Return the cost [µm²] of a `plan` of a `swarm`, with its `rollout`, for a `task`.
+
+    It adds the mean square error at the end, time, rotational diffusion and trespass.
     """
     error = np.mean(np.abs(rollout.position[-1] - task.goal) ** 2)
     waiting = (task.impatience * plan.length) ** 2
@@ -35,9 +36,9 @@ def cost(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout) -> float:
 
 def improve(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout,
             seconds: float) -> tuple[Plan, Rollout]:
-    """The plan of a `swarm` for a `task` one step on from its `rollout`, or as it is if better.
+    """Improve the `plan` of a `swarm` for a `task` by one step from its `rollout`, if possible.
 
-    The solver is given at most `seconds`; unfinished work of it is not used.
+    The solver may use at most `seconds`; unfinished work is discarded.
     """
     step = _solve(rollout, task, seconds)
     if step is None:
@@ -55,7 +56,7 @@ def improve(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout,
 
 
 def _solve(rollout: Rollout, task: Task, seconds: float) -> np.ndarray | None:
-    """min |e + Jδ|² + effort |δ|² + penalty s, with every place kept but for the slack s ≥ 0."""
+    """Minimise |e + Jδ|² + effort |δ|² + penalty s, with constraints up to a slack s ≥ 0."""
     import osqp
     from scipy import sparse
 
@@ -85,9 +86,9 @@ def _solve(rollout: Rollout, task: Task, seconds: float) -> np.ndarray | None:
 
 
 def _rows(rollout: Rollout, task: Task) -> tuple[np.ndarray, np.ndarray]:
-    """What keeps particles where they may be: rows (R, 2K) and room (R,) [µm], row·δ ≥ −room.
+    """Return constraints row·δ ≥ −room near borders and obstacles: rows (R, 2K), room (R,) [µm].
 
-    Only for places near a border or obstacle: the rest can't matter within one step.
+    Others cannot become active within one step.
     """
     rows, room = [], []
     z, response = rollout.position, rollout.response

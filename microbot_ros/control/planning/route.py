@@ -1,4 +1,4 @@
-"""A path as a curve: where along it a particle is, how far off, and which way it leads."""
+"""Path as a curve: arc length, distance and direction at a particle."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from microbot_ros.control.planning.shared import as_complex
 
 
 class Route:
-    """A polyline through `points` (P, 2) [m]; closed if the last point repeats the first.
+    """Polyline through `points` (P, 2) [m]; closed if the last point repeats the first.
 
-    Its direction turns evenly along each segment, from vertex to vertex, so that a densely
-    sampled curve leads as smoothly as the curve. ValueError for fewer than two different points
-    or one that is not finite.
+    Its direction turns evenly along each segment, so that a densely sampled curve is followed
+    smoothly. Raises ValueError for fewer than two different points or points that are not finite.
     """
 
     def __init__(self, points: np.ndarray) -> None:
@@ -29,7 +28,7 @@ class Route:
         self._turn = self._directions()
 
     def _directions(self) -> np.ndarray:
-        """The direction at each vertex: the mean of the segments that meet there."""
+        """Return the direction at each vertex, the mean of the adjacent segments."""
         ways = self._step / self._length
         before, after = np.concatenate([ways[:1], ways]), np.concatenate([ways, ways[-1:]])
         if self.closed:
@@ -40,19 +39,19 @@ class Route:
 
     @property
     def length(self) -> float:
-        """From the first point to the last [m]."""
+        """Length from the first point to the last [m]."""
         return float(self._along[-1])
 
     @property
     def end(self) -> complex:
-        """The last point [m]."""
+        """Last point [m]."""
         return complex(self._start[-1] + self._step[-1])
 
     def nearest(self, place: complex, after: float | None, reach: float) -> float:
-        """How far along [m] the point nearest to a place lies.
+        """Return the arc length [m] of the point nearest to `place` [m].
 
-        With `after` only from a little before there to `reach` [m] beyond, so that where the
-        route crosses itself a particle stays on its branch.
+        With `after` [m], only from a little before it to `reach` [m] beyond, so that a particle
+        stays on its branch where the route crosses itself.
         """
         part = np.clip(
             ((place - self._start) * self._step.conj()).real / self._length**2, 0, 1)
@@ -68,7 +67,7 @@ class Route:
         return float(along[np.argmin(away)])
 
     def at(self, along: float) -> tuple[complex, complex]:
-        """The point and the unit direction at a length [m] along the route."""
+        """Return the point and the unit direction at arc length `along` [m]."""
         if self.closed:
             along %= self.length
         k = int(np.clip(np.searchsorted(self._along, along, side='right') - 1,

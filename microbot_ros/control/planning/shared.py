@@ -1,7 +1,7 @@
-"""Many particles, one field: the best displacement they can share.
+"""Best displacement that many particles can share under one field.
 
-Positions as complex numbers z [m]; a particle answers to U = ∫u dt [s], the same for all, with
-the displacement cU, c = v e^{iφ} [m/s] its own. Source: PAPER, "What the first-order model
+Positions are complex numbers z [m]. A particle responds to U = ∫u dt [s], equal for all, with the
+displacement cU, where c = v e^{iφ} [m/s] is its own. Source: PAPER, "What the first-order model
 implies for control".
 """
 
@@ -13,21 +13,21 @@ from microbot_ros.control.contract import Workspace
 
 
 def as_complex(position: np.ndarray) -> np.ndarray:
-    """A `position` (..., 2), or other vectors, as complex numbers (...)."""
+    """Convert vectors, such as a `position`, (..., 2) to complex numbers (...)."""
     return position[..., 0] + 1j * position[..., 1]
 
 
 def best_displacement(velocity: np.ndarray, wanted: np.ndarray) -> complex:
-    """U* = Σ c̄ᵢ dᵢ / Σ |cᵢ|² [s], which brings all particles closest to their goals together.
+    """Return U* = Σ c̄ᵢ dᵢ / Σ |cᵢ|² [s], the displacement with the smallest squared error.
 
-    `velocity` c (N,) [m/s]; `wanted` d = g − z (N,) [m]. Zero where no particle moves.
+    `velocity` c (N,) [m/s]; `wanted` d = g − z (N,) [m]. Zero if no particle moves.
     """
     power = np.vdot(velocity, velocity).real
     return complex(np.vdot(velocity, wanted) / power) if power > 0 else 0j
 
 
 def floor(velocity: np.ndarray, wanted: np.ndarray) -> float:
-    """RMS distance [m] from the goals that no controller can beat under the first-order model.
+    """Return the RMS distance [m] from the goals below which no controller gets in first order.
 
     `velocity` (N,) [m/s] and `wanted` (N,) [m] as for `best_displacement`.
     """
@@ -37,11 +37,24 @@ def floor(velocity: np.ndarray, wanted: np.ndarray) -> float:
 
 def borders(workspace: Workspace, position: np.ndarray, velocity: np.ndarray,
             margin: float) -> tuple[np.ndarray, np.ndarray]:
-    """What keeps all particles in view: Re(n̄ U) ≤ h for every n (4N,) [m/s] and h (4N,) [m].
+    """Return the constraints Re(n̄ U) ≤ h that keep all particles inside the workspace.
 
-    `position` (N, 2) [m], `velocity` c (N,) [m/s]. h is negative for one that is nearer to a
-    border than `margin` [m]: it is to come back. As the workspace is convex, no particle leaves it
-    on the straight way to a displacement that is allowed.
+    Since the workspace is convex, no particle leaves it on the straight path of an allowed
+    displacement.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    position : (N, 2) array [m]
+    velocity : (N,) complex array
+        Velocity phasors c [m/s].
+    margin : float [m]
+
+    Returns
+    -------
+    n : (4N,) complex array [m/s]
+    h : (4N,) array [m]
+        Negative for a particle nearer to a border than the margin, which must come back.
     """
     room = np.concatenate([workspace.high - margin - position, position - workspace.low - margin])
     normal = np.concatenate([velocity.conj(), 1j * velocity.conj(),
@@ -52,10 +65,10 @@ def borders(workspace: Workspace, position: np.ndarray, velocity: np.ndarray,
 
 
 def nearest_allowed(wanted: complex, normal: np.ndarray, room: np.ndarray) -> complex:
-    """The U [s] nearest to `wanted` with Re(n̄ U) ≤ h, n of `normal` (K,), h of `room` (K,).
+    """Return the U [s] nearest to `wanted` with Re(n̄ U) ≤ h; `normal` n and `room` h are (K,).
 
-    If there is none, particles beyond a border may stay as far out as they are. As the squared
-    error of `best_displacement` grows by Σ|cᵢ|² |U − U*|², the nearest is the best.
+    If there is none, particles beyond a border may stay as far out as they are. The nearest is the
+    best, since the squared error of `best_displacement` grows by Σ|cᵢ|² |U − U*|².
     """
     if _allowed(np.array([wanted]), normal, room)[0]:
         return complex(wanted)
@@ -67,7 +80,7 @@ def nearest_allowed(wanted: complex, normal: np.ndarray, room: np.ndarray) -> co
 
 
 def _feet(wanted: complex, normal: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """The foot of the perpendicular from the wanted point on each border."""
+    """Return the foot of the perpendicular from `wanted` on each border."""
     power = np.abs(normal) ** 2
     some = power > 0
     excess = (normal.conj() * wanted).real[some] - room[some]
@@ -75,8 +88,7 @@ def _feet(wanted: complex, normal: np.ndarray, room: np.ndarray) -> np.ndarray:
 
 
 def allowed_corners(normal: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """The corners of what `normal` and `room` allow, where two borders meet, and U = 0 if it is.
-    """
+    """Return the corners of the region given by `normal` and `room`, and U = 0 if inside."""
     a, b = np.triu_indices(len(normal), 1)
     cross = (normal[a].conj() * normal[b]).imag
     some = np.abs(cross) > 1e-9 * np.abs(normal[a]) * np.abs(normal[b])

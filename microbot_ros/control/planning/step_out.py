@@ -1,15 +1,15 @@
-"""What makes rollers different to one field: whether they follow a single turn of it.
+"""Rollers differ under one field by whether they follow a single rotation of it.
 
-A moment that a field drags round at the frequency f lags by δ, dδ/dt = 2π(f − f_c sin δ), with the
-step-out f_c in proportion to the field (Adler, Proceedings of the IRE 34, 351 (1946); for magnetic
-rotors McNaughton et al., International Journal of Nanomedicine 4, 285 (2009); for telling devices
-apart by it Mahoney, Nelson, Peyer, Nelson and Abbott, Applied Physics Letters 104, 144101 (2014)).
-Beyond f_c it slips, and where in its slip it is when the field turns elsewhere is chance.
+A moment dragged by a field that rotates at the frequency f lags by δ, dδ/dt = 2π(f − f_c sin δ),
+with the step-out f_c proportional to the field (Adler, Proceedings of the IRE 34, 351 (1946); for
+magnetic rotors McNaughton et al., International Journal of Nanomedicine 4, 285 (2009); to address
+single devices Mahoney, Nelson, Peyer, Nelson and Abbott, Applied Physics Letters 104, 144101
+(2014)). Beyond f_c it slips, and its phase at the next change of the field is random.
 
-A leg here is one whole turn, after which the field stands. Who has kept up by then to within
-half a turn makes the turn, to the end; who has not falls back to where it was. So a roller goes as
-far as in one turn or not at all, whatever went before. Turns that are faster and faster, or in
-weaker and weaker fields, tell one roller after the other apart.
+A leg here is one full rotation, after which the field stands still. A roller that lags by less
+than half a turn then completes the turn; any other falls back to where it was. So a roller moves
+by one full turn or not at all, whatever happened before. Ever faster rotations, or rotations in
+ever weaker fields, separate one roller after the other.
 """
 
 from __future__ import annotations
@@ -23,52 +23,52 @@ import numpy as np
 from microbot_ros.control.contract import NoSolutionError
 
 THRESHOLD = 0.67645
-"""f_c/f of a roller that lags by half a turn after one: (π + 2 arcsin r)/√(1 − r²) = 2π."""
+"""f_c/f of a roller that lags half a turn after one: (π + 2 arcsin r)/√(1 − r²) = 2π."""
 STEP = 1.03
-"""Ratio of the step-outs from which on rollers follow neighbouring kinds of turns."""
+"""Choice: ratio of the step-outs of neighbouring kinds of turns."""
 LEAST_TURN = 0.3e-6
-"""What a roller goes per turn at least [m]."""
+"""Choice: least displacement per turn [m] of something that rolls."""
 _ALL_FOLLOW = 6
-"""Kinds, the slowest, that every roller follows."""
+"""Choice: number of the slowest kinds, which every roller follows."""
 _SETTLES = 0.4
-"""Time that a leg needs to come to rest, times the step-out of who only just follows."""
+"""Choice: settling time of a leg times the step-out of a roller that only just follows."""
 _CLEAR = 0.3
-"""Of a turn: kinds of which all rollers make one or none, to within that, are clear."""
+"""Choice: deviation from one turn or none, in turns, up to which a kind is unambiguous."""
 _UNCLEAR = 0.1
-"""How gladly other kinds are used."""
+"""Choice: weight of ambiguous kinds."""
 _FAITH = 0.3
-"""What part of the difference to what was seen is taken over at once."""
+"""Choice: part of the difference to a measured leg that is adopted at once."""
 _DEAR = 4.0
-"""How much longer a detour may be per length of room that it gives where it lacks."""
+"""Choice: how much longer a detour may be per length of clearance gained where it lacks."""
 _WEIGHED = 12
-"""Turns that are weighed by their room, at each step."""
-_ROUNDS = 12
+"""Choice: turns compared by their clearance at each step."""
+_ROUNDS = 12  # choice: iterations of the reweighted least squares
 _WORTH = 0.15
-"""Of a turn: legs that are less are left for the next time."""
+"""Choice: legs of less than this part of a turn are postponed."""
 
 
 @dataclass(frozen=True)
 class Leg:
-    """One turn of a `kind` (an index of `SingleTurns`) along `way`, a unit complex number."""
+    """One turn of a `kind` (index of `SingleTurns`) along `way`, a unit complex number."""
 
     kind: int
     way: complex
 
 
 class SingleTurns:
-    """The kinds of legs (M): each a frequency and a share of the field.
+    """The M kinds of legs, each with a frequency and a share of the field.
 
-    Rollers follow those kinds up to their step-out: it rises from kind to kind. `answer` (N, M)
-    [m] is what each of N rollers makes of a turn along x: c = g e^{iφ} or nothing. A survey tells.
+    Rollers follow the kinds up to their step-out, which rises from kind to kind. `answer` (N, M)
+    [m] is the displacement of each of N rollers by a turn along x, c = g e^{iφ} or 0; a survey
+    measures it.
     """
 
     def __init__(self, slowest: float, fastest: float, tick: float, delay: int) -> None:
-        """From a turn that rollers with a step-out of `slowest` [Hz] just follow to one for
-        `fastest` [Hz], which no leg exceeds.
+        """Make kinds from step-outs `slowest` to `fastest` [Hz]; no leg exceeds the latter.
 
-        A leg takes whole `ticks` of `tick` [s], and `rest` after that: so many as `delay`, and
-        until those who lag have fallen back or come up. Where a step-out asks for a little less
-        than whole ticks the field is made weaker.
+        A leg takes whole `ticks` of `tick` [s], followed by `rest`: `delay` ticks plus the time in
+        which lagging rollers fall back or catch up. A field slightly weaker replaces fractions of
+        a tick.
         """
         edge = slowest * STEP ** np.arange(
             1 + math.floor(math.log(fastest / slowest) / math.log(STEP)))
@@ -81,14 +81,14 @@ class SingleTurns:
         self.answer = np.zeros((0, len(edge)), complex)
 
     def survey(self) -> list[Leg]:
-        """Each kind out or back along x, then along y: all end about where they began."""
+        """Return legs of each kind, alternating along ±x, then ±y: all end near their start."""
         return [Leg(kind, way * (-1) ** kind) for way in (1 + 0j, 1j)
                 for kind in range(len(self.ticks))]
 
     def see(self, moved: np.ndarray) -> None:
-        """In the legs of the survey all have `moved` (L, N) [m].
+        """Learn the responses from displacements `moved` (L, N) [m] in the legs of the survey.
 
-        NoSolutionError for rollers that do not roll, or that one field can't tell apart.
+        Raises NoSolutionError for particles that do not roll or that one field cannot separate.
         """
         ways = np.array([leg.way for leg in self.survey()])
         made = (moved / ways[:, None]).reshape(2, len(self.ticks), -1).mean(0).T
@@ -109,10 +109,10 @@ class SingleTurns:
         self._gladly = np.where(clear, 1.0, _UNCLEAR)
 
     def turns(self, displacement: np.ndarray) -> np.ndarray:
-        """How many turns of each kind, and which way (M,), displace each by `displacement` (N,)
-        [m]: Σ answer_im U_m, in the least time Σ seconds_m |U_m|.
+        """Return turns U (M,) of each kind that make `displacement` (N,) [m], Σ answer_im U_m.
 
-        By reweighted least squares (Chartrand and Yin, ICASSP 2008, 3869).
+        They minimise the time Σ seconds_m |U_m|, by reweighted least squares (Chartrand and Yin,
+        ICASSP 2008, 3869).
         """
         weight = self._gladly
         some = 1e-6 * float(np.abs(self.answer).max()) ** 2
@@ -125,16 +125,16 @@ class SingleTurns:
         return turns
 
     def time(self, displacement: np.ndarray) -> float:
-        """How long [s] it takes to displace each by `displacement` (N,) [m], about."""
+        """Return the approximate time [s] for a `displacement` (N,) [m]."""
         return float(self.seconds @ np.abs(self.turns(displacement)))
 
     def legs(self, displacement: np.ndarray,
              slack: Callable[[np.ndarray], np.ndarray] | None = None) -> list[Leg]:
-        """Whole turns that add up to `displacement` (N,) [m], one after the other.
+        """Return whole turns that add up to `displacement` (N,) [m], in order.
 
-        Each time that which leaves the smallest detour of any roller from a straight way; a
-        detour that gives room where it lacks may be longer. `slack` tells how much [m] (C,) is to
-        spare, less than 0 where it lacks, where all have moved by each of (N, C) [m].
+        Each step takes the turn with the smallest detour of any roller from a straight path; a
+        detour that gains missing clearance may be longer. `slack` returns the clearance (C,) [m],
+        negative where it lacks, after displacements (N, C) [m].
         """
         left = [leg for kind, u in enumerate(self.turns(displacement).tolist())
                 for leg in _whole(kind, u)]
@@ -154,18 +154,18 @@ class SingleTurns:
         return [left[k] for k in order]
 
     def moves(self, legs: list[Leg]) -> np.ndarray:
-        """What `legs` (L) do to each (N, L) [m]."""
+        """Return the displacements (N, L) [m] by `legs` (L)."""
         way = np.array([leg.way for leg in legs], complex)
         return np.asarray(self.answer[:, [leg.kind for leg in legs]] * way)
 
     def learn(self, leg: Leg, moved: np.ndarray) -> None:
-        """After a `leg` all have `moved` (N,) [m]."""
+        """Update the responses by displacements `moved` (N,) [m] measured after a `leg`."""
         off = moved / leg.way - self.answer[:, leg.kind]
         self.answer[:, leg.kind] += _FAITH * off
 
 
 def _whole(kind: int, u: complex) -> Iterator[Leg]:
-    """Unit steps that add up to u: along it, and two that lean as far as makes up the rest."""
+    """Yield unit steps that add up to u: straight ones, and two at an angle for the remainder."""
     size = abs(u)
     if size < _WORTH:
         return

@@ -1,8 +1,8 @@
-"""Ways for many particles at once, past each other and past walls: prioritised planning.
+"""Paths for many particles at once, past each other and past walls: prioritised planning.
 
-One particle after the other gets the way on a grid that reaches its goal first while it keeps off
-those planned before it, wherever they are at that time (Erdmann and Lozano-Pérez, Algorithmica 2,
-477 (1987)). Then all ways are drawn tight together. Positions are complex numbers [m].
+One particle after the other gets the fastest path on a grid that avoids those planned before, at
+all times (Erdmann and Lozano-Pérez, Algorithmica 2, 477 (1987)). Then all paths are shortened
+together. Positions are complex numbers [m].
 """
 
 from __future__ import annotations
@@ -14,22 +14,24 @@ import numpy as np
 
 from microbot_ros.control.contract import NoSolutionError, Workspace
 
-_CELL = 4e-6
+_CELL = 4e-6  # choice: about a particle's diameter [m]
 _LAYERS = 2
-"""Time steps of a search between two pauses."""
+"""Choice: time steps of a search between two pauses."""
 _LONGEST = 400
-"""Time steps after which no way is looked for."""
+"""Choice: time steps after which the search for a path ends."""
 _ORDERS = 12
-"""In how many orders the particles are planned before it is given up."""
-_TIGHTENED = 100
+"""Choice: orders of the particles that are tried."""
+_TIGHTENED = 100  # choice: rounds of shortening
 _AT_ONCE = 3
-"""Ways that are tightened between two pauses."""
+"""Choice: paths that are shortened between two pauses."""
 
 
 @dataclass(frozen=True)
 class Room:
-    """Where particles may be: in a `view`, `off_walls` [m] from every one of `walls` (W, 2), from
-    end to end as complex numbers, and `apart` [m] from each other.
+    """Region open to particles.
+
+    They stay in `view`, at least `off_walls` [m] from each of `walls` (W, 2), end points as
+    complex numbers, and `apart` [m] from each other.
     """
 
     view: Workspace
@@ -38,7 +40,7 @@ class Room:
     off_walls: float
 
     def to_walls(self, place: np.ndarray) -> np.ndarray:
-        """How far each `place` (...) [m] is from the nearest wall or border of the view (...)."""
+        """Return the distance of each `place` (...) [m] to the nearest wall or border (...)."""
         low, high = complex(*self.view.low), complex(*self.view.high)
         sides = [place.real - low.real, place.imag - low.imag,
                  high.real - place.real, high.imag - place.imag]
@@ -49,7 +51,7 @@ class Room:
 
 
 def between(place: np.ndarray) -> np.ndarray:
-    """How far each of `place` (..., N) [m] is from its nearest neighbour (..., N); inf alone."""
+    """Return the distance of each `place` (..., N) [m] to its nearest neighbour; inf if alone."""
     distance = np.abs(place[..., :, None] - place[..., None, :])
     distance[..., np.arange(place.shape[-1]), np.arange(place.shape[-1])] = np.inf
     return np.asarray(distance.min(-1))
@@ -57,10 +59,10 @@ def between(place: np.ndarray) -> np.ndarray:
 
 def find_ways(start: np.ndarray, goal: np.ndarray, room: Room,
               ) -> Generator[None, None, np.ndarray]:
-    """Where all are (K, N) [m], one time step after the other, from `start` (N,) to `goal` (N,).
+    """Return positions (K, N) [m] over time steps, from `start` (N,) to `goal` (N,).
 
-    A generator, whose value it is: it pauses every some milliseconds, for whoever has more to do.
-    NoSolutionError where none is found in that `room`.
+    A generator with that value: it yields every few milliseconds, to let other work go on. Raises
+    NoSolutionError if no paths are found in `room`.
     """
     rng = np.random.default_rng(0)
     search = _Search(start, goal, room)
@@ -74,7 +76,7 @@ def find_ways(start: np.ndarray, goal: np.ndarray, room: Room,
 
 
 class _Search:
-    """The grid and what is known of it; ends count as they are, though they lie between cells."""
+    """Grid of the search; start and goal are exact, even between cells."""
 
     def __init__(self, start: np.ndarray, goal: np.ndarray, room: Room) -> None:
         self._start, self._goal, self._room = start, goal, room
@@ -85,7 +87,7 @@ class _Search:
         self._free = np.pad(free, 1)
 
     def run(self, order: list[int]) -> Generator[None, None, np.ndarray | None]:
-        """All ways (K, N), planned in an `order`; None where one of them has none."""
+        """Return all paths (K, N), planned in this `order`; None if one particle has none."""
         ways: list[np.ndarray] = []
         for k in order:
             way = yield from self._way(k, ways)
@@ -97,7 +99,7 @@ class _Search:
         return found[:, np.argsort(order)]
 
     def _way(self, k: int, others: list[np.ndarray]) -> Generator[None, None, np.ndarray | None]:
-        """The quickest of one past `others` that have theirs, or None."""
+        """Return the fastest path of particle `k` past the `others`, or None."""
         begin, end = self._cell(self._start[k]), self._cell(self._goal[k])
         reached = [np.zeros_like(self._free)]
         reached[0][begin] = True
@@ -114,7 +116,7 @@ class _Search:
         return None
 
     def _cell(self, place: complex) -> tuple[int, int]:
-        """Of the free ones, counted with the frame about the grid, the nearest."""
+        """Return the free cell nearest to `place`, counted with the frame around the grid."""
         away = np.where(self._free[1:-1, 1:-1], np.abs(self._place - place), np.inf)
         i, j = np.unravel_index(np.argmin(away), away.shape)
         return int(i) + 1, int(j) + 1
@@ -127,7 +129,7 @@ class _Search:
         return free
 
     def _close(self, free: np.ndarray, at: complex) -> None:
-        """Nobody comes near to a place, though its cell may be a little off."""
+        """Mark cells near the exact place `at` as occupied."""
         i, j = self._cell(at)
         reach = int(self._room.apart / _CELL) + 1
         window = np.s_[max(i - reach, 1):i + reach + 1, max(j - reach, 1):j + reach + 1]
@@ -141,7 +143,7 @@ class _Search:
                    for way in others)
 
     def _back(self, reached: list[np.ndarray], end: tuple[int, int]) -> np.ndarray:
-        """The cells (K,) [m] that led there, moving as late as possible."""
+        """Return the cells (K,) [m] that led to the end, with moves as late as possible."""
         cells, here = [end], end
         for before in reversed(reached[:-1]):
             here = next((here[0] + i, here[1] + j) for i, j in _MOVES
@@ -156,7 +158,7 @@ _MOVES = sorted(((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)),
 
 
 def _spread(cells: np.ndarray) -> np.ndarray:
-    """The cells and their eight neighbours; none on the frame."""
+    """Return the cells and their eight neighbours, without the frame."""
     wide = cells.copy()
     wide[1:] |= cells[:-1]
     wide[:-1] |= cells[1:]
@@ -167,9 +169,10 @@ def _spread(cells: np.ndarray) -> np.ndarray:
 
 
 def _tightened(ways: np.ndarray, room: Room) -> Generator[None, None, np.ndarray]:
-    """Drawn tight like rubber bands (K, N), as far as nobody comes too near to anything by it.
+    """Return shortened paths (K, N) that keep all distances.
 
-    One after the other gives way, at every other time; who is too near as it is may come off.
+    Particles and alternate time steps take turns; a particle that is too near already may move
+    away.
     """
     ways = ways.copy()
     for turn in range(_TIGHTENED):
@@ -186,6 +189,6 @@ def _tightened(ways: np.ndarray, room: Room) -> Generator[None, None, np.ndarray
 
 
 def _slack(way: np.ndarray, others: np.ndarray, room: Room) -> np.ndarray:
-    """How much nearer (K,) [m] one on its `way` (K,) could be to `others` (K, N), and to walls."""
+    """Return the clearance (K,) [m] of one `way` (K,) from `others` (K, N) and walls."""
     near = np.abs(way[:, None] - others).min(-1, initial=np.inf)
     return np.asarray(np.minimum(near - room.apart, room.to_walls(way) - room.off_walls))

@@ -1,6 +1,6 @@
-"""All particles towards their goals at once, as near as one field can bring them.
+"""Drive all particles towards their goals, as near as one field allows.
 
-What the controllers of many particles have in common is `SharedField`; `Ensemble` adds goals.
+`SharedField` is the base of controllers of many particles; `Ensemble` adds goals.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from microbot_ros.control.steering.courses import Excitation, approach, field_al
 
 @dataclass(frozen=True)
 class SharedFieldParameters:
-    """Strength, patience and margins."""
+    """Field strength, learning and margins."""
 
     field_mT: float = setting(5.0, 'Strength of the field.', lower=0.01, upper=100.0)
     hold_radius_um: float = setting(
@@ -50,8 +50,10 @@ class SharedFieldParameters:
 
 @dataclass(frozen=True)
 class Aim:
-    """What to make of particles: `displacement` U [s] is best for the `wanted` (K,) [m] of each,
-    their `answer` c (K,) [m/s] being counted in the same way."""
+    """Target of one tick: `displacement` U [s] is the best for what is `wanted` (K,) [m].
+
+    `answer` (K,) [m/s] are the velocity phasors c of the particles.
+    """
 
     displacement: complex
     wanted: np.ndarray
@@ -59,26 +61,26 @@ class Aim:
 
     @classmethod
     def least_squares(cls, answer: np.ndarray, wanted: np.ndarray) -> Aim:
-        """The displacement that leaves the smallest sum of squares."""
+        """Return the aim with the smallest sum of squares, for `answer` and `wanted` (K,)."""
         return cls(best_displacement(answer, wanted), wanted, answer)
 
     @property
     def distance(self) -> float:
-        """RMS of what is wanted [m]."""
+        """RMS of the wanted displacements [m]."""
         return float(np.sqrt(np.mean(np.abs(self.wanted) ** 2)))
 
     @property
     def floor(self) -> float:
-        """RMS of what is left after the displacement [m]."""
+        """RMS of what remains after the displacement [m]."""
         left = self.wanted - self.answer * self.displacement
         return float(np.sqrt(np.mean(np.abs(left) ** 2)))
 
 
 class SharedField(Controller):
-    """Drives all particles along one shared displacement U, worked out anew at each tick.
+    """Drives all particles along one shared displacement U, recomputed at each tick.
 
-    U is kept within what holds every particle in view; round the end of it all circle. Until φ
-    of any is known, the field goes round a triangle.
+    U is limited such that every particle stays in view; at its end all particles circle. Until φ
+    of any particle is known, the field runs through a triangle.
     """
 
     Parameters = SharedFieldParameters
@@ -88,27 +90,25 @@ class SharedField(Controller):
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was asked for."""
+        """Forget the request."""
         self._excitation = Excitation()
 
     def activate(self, inputs: ControllerInput) -> None:
-        """ModelError for `inputs` of rollers: one of those can be stopped, which serves it better.
-        """
+        """Raise ModelError if `inputs` are of rollers, for which there are better controllers."""
         self._excitation.stop()
         if inputs.model is not None and inputs.model.propulsion == 'rolling':
             raise ModelError('drives particles that propel themselves; the model is of rollers')
 
     @abstractmethod
     def involved(self, inputs: ControllerInput) -> np.ndarray:
-        """Rows (K,) in `inputs` of particles that something is asked of; none: the field is off.
-        """
+        """Return the rows (K,) in `inputs` of driven particles; none: the field is off."""
 
     @abstractmethod
     def aim(self, inputs: ControllerInput, rows: np.ndarray, velocity: np.ndarray) -> Aim:
-        """What to do with `rows` of `inputs`, whose `velocity` v e^{iφ} (K,) is known."""
+        """Return the aim for `rows` of `inputs` with known `velocity` v e^{iφ} (K,) [m/s]."""
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """For `inputs` along U, and round it once it is reached."""
+        """Return for `inputs` a field along U, or the circle at its end."""
         p: Any = self.parameters
         rows = self.involved(inputs)
         if not len(rows):
@@ -135,7 +135,7 @@ class SharedField(Controller):
 class Ensemble(SharedField):
     """Least squares over all particles and goals, in closed form.
 
-    What is left in the end is the floor: no controller gets below it under the first-order model.
+    The final error is the floor: no controller gets below it under the first-order model.
     """
 
     interface_version = 1
@@ -148,12 +148,12 @@ class Ensemble(SharedField):
         self._assignment = Assignment()
 
     def involved(self, inputs: ControllerInput) -> np.ndarray:
-        """The rows of `inputs` that have goals."""
+        """Return the rows of `inputs` that have goals."""
         self._assignment.update(inputs)
         return self._assignment.pairs(inputs)[0]
 
     def aim(self, inputs: ControllerInput, rows: np.ndarray, velocity: np.ndarray) -> Aim:
-        """Each of `rows` of `inputs` to its goal, by its `velocity`."""
+        """Return the aim of `rows` of `inputs` for their goals, by their `velocity`."""
         all_rows, goals = self._assignment.pairs(inputs)
         mine = goals[np.isin(all_rows, rows)]
         return Aim.least_squares(velocity, as_complex(mine - inputs.expected[rows]))

@@ -1,4 +1,4 @@
-"""Plays a plan that comes by topic, once, and then lets go."""
+"""Play a plan that arrives by topic once, then switch off."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from microbot_ros.control.plugins.open_loop import check_limits
 
 
 class Experiment(Controller):
-    """Each plan is played once, from the tick that first has it; before and after it no field.
+    """Plays each plan once, from the first tick that has it; no field before and after.
 
-    A plan that came before this controller drives is not played: what was planned for other
-    places says nothing of these. The last row of a plan is its end.
+    A plan from before the activation is not played: it was made for other positions. The last row
+    of a plan is its end.
     """
 
     interface_version = 1
@@ -31,11 +31,11 @@ class Experiment(Controller):
         self._begun: float | None = None
 
     def activate(self, inputs: ControllerInput) -> None:
-        """Begin with nothing: the plan of `inputs` was another's."""
+        """Discard the plan in `inputs`, made before the activation."""
         self._plan, self._begun = inputs.plan, None
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """The row of the moment of `inputs`; NoSolutionError for a plan beyond the limits."""
+        """Return the present row of the plan; NoSolutionError beyond the limits of `inputs`."""
         plan = inputs.plan
         if plan is not self._plan:
             self._plan, self._begun = plan, inputs.t

@@ -1,4 +1,4 @@
-"""Gathers particles, spreads them, arranges or carries them, as far as one field can."""
+"""Gather, spread, arrange or carry particles, as far as one field allows."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from microbot_ros.control.plugins.ensemble import Aim, SharedField, SharedFieldP
 from microbot_ros.control.steering.courses import goals_in_reach
 
 SHAPES = ('gather', 'spread', 'carry', 'line', 'ring', 'grid')
-_TURNS = np.exp(2j * np.pi * np.arange(24) / 24)
+_TURNS = np.exp(2j * np.pi * np.arange(24) / 24)  # choice: initial rotations tried, every 15°
 
 
 @dataclass(frozen=True)
 class FormationParameters(SharedFieldParameters):
-    """What shape, beside what is set for all that share a field."""
+    """The shape, besides the parameters of all that share a field."""
 
     shape: str = setting(
         'gather', 'gather: together; spread: apart; carry: as they are, to the goal; or the '
@@ -31,11 +31,11 @@ class FormationParameters(SharedFieldParameters):
 
 
 class Formation(SharedField):
-    """The shape that all particles seen make together; the first goal, if any, is its centre.
+    """Forms a shape with all tracked particles; the first goal, if any, is its centre.
 
-    Without a goal the shape is made wherever it costs least, and so is always its rotation and
-    who takes which place. Which those are is settled when the shape is asked for; the shared
-    displacement follows at each tick.
+    Without a goal the shape is formed where it costs least. Its rotation and the assignment of
+    places are always chosen like that, once when the shape is requested; the displacement follows
+    each tick.
     """
 
     interface_version = 1
@@ -44,7 +44,7 @@ class Formation(SharedField):
     Parameters = FormationParameters
 
     def reset(self) -> None:
-        """Settle places and rotation anew."""
+        """Choose places and rotation anew."""
         super().reset()
         self._asked: tuple[Any, ...] = ()
         self._ids = NO_IDS
@@ -52,31 +52,29 @@ class Formation(SharedField):
         self._turn = 1 + 0j
 
     def configure(self, parameters: Any) -> None:
-        """Take `parameters`; a new shape is settled at the next tick."""
+        """Take `parameters`; a new shape is planned at the next tick."""
         import scipy.optimize  # noqa: F401  its import takes longer than a tick
 
         super().configure(parameters)
 
     def activate(self, inputs: ControllerInput) -> None:
-        """Begin with the particles as they are in `inputs`."""
+        """Start with the particles of `inputs`."""
         super().activate(inputs)
         self._asked = ()
 
     def involved(self, inputs: ControllerInput) -> np.ndarray:
-        """All rows of `inputs`; none for `carry` without a goal."""
+        """Return all rows of `inputs`; none for `carry` without a goal."""
         if self.parameters.shape == 'carry' and not len(inputs.goals):
             return NO_IDS
         return np.arange(len(inputs.ids))
 
     def aim(self, inputs: ControllerInput, rows: np.ndarray, velocity: np.ndarray) -> Aim:
-        """What brings `rows` of `inputs`, by their `velocity`, into their places, or furthest
-        apart.
-        """
+        """Return the aim for `rows` of `inputs` of known `velocity`: places, or furthest apart."""
         centre = goals_in_reach(inputs)[:1]
         if self.parameters.shape == 'spread':
             return self._spread(inputs, rows, velocity)
         z = as_complex(inputs.expected[rows])
-        # Without a goal the centre is free, and only places relative to it count.
+        # Without a goal the centre is free, and only relative positions count.
         z = z - (z.mean() if not len(centre) else as_complex(centre)[0])
         answer = velocity if len(centre) else velocity - velocity.mean()
         self._settle(inputs, rows, z, answer, centre)
@@ -88,7 +86,7 @@ class Formation(SharedField):
 
     def _settle(self, inputs: ControllerInput, rows: np.ndarray, z: np.ndarray, answer: np.ndarray,
                 centre: np.ndarray) -> None:
-        """Who takes which place, when shape, centre or particles are new."""
+        """Assign places, if shape, centre or particles are new."""
         ids = inputs.ids[rows]
         asked = (self.parameters, centre.tobytes(), tuple(sorted(ids.tolist())))
         if asked == self._asked:
@@ -102,7 +100,7 @@ class Formation(SharedField):
         self._ids, self._place, self._asked = ids[by_id], places[order][by_id], asked
 
     def _spread(self, inputs: ControllerInput, rows: np.ndarray, velocity: np.ndarray) -> Aim:
-        """To a corner of what is allowed: a sum of squares that grows has its maximum there."""
+        """Return the aim for the corner of the allowed region with the largest spread (convex)."""
         margin = units.to_si('margin_um', self.parameters.margin_um)
         normal, room = borders(inputs.workspace, inputs.expected[rows], velocity, margin)
         z = as_complex(inputs.expected[rows])
@@ -112,7 +110,7 @@ class Formation(SharedField):
 
 
 def _places(parameters: FormationParameters, count: int, now: np.ndarray) -> np.ndarray:
-    """Places (N,) [m] around the centre for so many particles."""
+    """Return places (N,) [m] around the centre for `count` particles."""
     spacing = units.to_si('spacing_um', parameters.spacing_um)
     if parameters.shape == 'gather':
         return np.zeros(count, complex)
@@ -131,13 +129,13 @@ def _places(parameters: FormationParameters, count: int, now: np.ndarray) -> np.
 
 
 def _rotation(place: np.ndarray, reached: np.ndarray) -> complex:
-    """e^{iα} that turns places best onto what is reached (Procrustes)."""
+    """Return e^{iα} that best rotates places onto `reached` (Procrustes)."""
     overlap = complex(np.vdot(place, reached))
     return overlap / abs(overlap) if overlap else 1 + 0j
 
 
 def _match(z: np.ndarray, answer: np.ndarray, places: np.ndarray) -> tuple[complex, np.ndarray]:
-    """The rotation and the order of the places that leave least, from rotations all round."""
+    """Return the rotation and the order of places with the smallest remaining error."""
     from scipy.optimize import linear_sum_assignment
 
     best: tuple[float, complex, np.ndarray] = (math.inf, 1 + 0j, np.arange(len(z)))

@@ -1,4 +1,4 @@
-"""The controller to rest in: no field."""
+"""Controller without a field."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from microbot_ros.control.contract import (
 
 
 class Hold(Controller):
-    """Keeps the field at zero; catalytic particles swim on and turn by chance."""
+    """Keeps the field at zero; catalytic particles swim on and turn randomly."""
 
     interface_version = 1
     summary = 'No field.'
     takes = frozenset[Input]()
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """Zero, whatever the `inputs`."""
+        """Return zero field for all `inputs`."""
         return no_field('the field is off')

@@ -1,4 +1,4 @@
-"""The field that a person sets, in three axes: it stands, or goes round an axis."""
+"""Field set by hand, in three axes: static or rotating about an axis."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from microbot_ros.control.contract import (
 
 @dataclass(frozen=True)
 class ManualParameters:
-    """The field in the terms of laboratories: α, γ, ψ and f."""
+    """The field by the angles customary in laboratories: α, γ, ψ and f."""
 
     field_mT: float = setting(0.0, 'Strength of the field.', lower=0.0, upper=100.0)
     alpha_deg: float = setting(
@@ -31,14 +31,15 @@ class ManualParameters:
         90.0, 'Half the angle ψ of the cone on which a field goes round the axis: 90 is a disc.',
         lower=0.0, upper=90.0)
     frequency_hz: float = setting(
-        0.0, 'How often it goes round, right-handed; at 0 it stands along the axis.',
+        0.0, 'Rotation frequency, right-handed; at 0 the field stands along the axis.',
         lower=0.0, upper=1000.0)
 
 
 class Manual(Controller):
-    """B = |B| (sin γ cos α, sin γ sin α, cos γ) at rest; on a cone of ψ about that axis, else.
+    """Static field along an axis, or field that rotates on a cone of ψ about it.
 
-    Nobody's goal is followed and no particle kept in view. What rolls by it heads for α − 90°.
+    B = |B| (sin γ cos α, sin γ sin α, cos γ). No goals are followed and no particles kept in view.
+    Rollers move towards α − 90°.
     """
 
     interface_version = 1
@@ -47,7 +48,7 @@ class Manual(Controller):
     Parameters = ManualParameters
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """What the parameters say, as far as the limits of `inputs` let it be."""
+        """Return the field of the parameters, within the limits of `inputs`."""
         p = self.parameters
         strength = min(units.to_si('field_mT', p.field_mT), inputs.limits.field)
         frequency = min(p.frequency_hz, inputs.limits.frequency)

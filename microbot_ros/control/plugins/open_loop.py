@@ -1,4 +1,4 @@
-"""Plays a timed list of field directions, whatever the particles do."""
+"""Play a timed list of field directions, whatever the particles do."""
 
 from __future__ import annotations
 
@@ -53,21 +53,21 @@ class OpenLoop(Controller):
         self._begun: float | None = None
 
     def configure(self, parameters: Any) -> None:
-        """Read the list of `parameters`; InputError naming file and line where a file is not as it
-        should be.
+        """Read the list of `parameters`.
+
+        Raises InputError naming file and line for a faulty file.
         """
         read = _from_file if parameters.file else _from_lists
         self._commands, self._length = read(parameters)
         super().configure(parameters)
 
     def activate(self, inputs: ControllerInput) -> None:
-        """Start the list from its beginning; refuse one that the limits of `inputs` do not allow.
-        """
+        """Start the list; NoSolutionError if it exceeds the limits of `inputs`."""
         check_limits(self._commands, inputs.limits)
         self._begun = inputs.t
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """The row of the moment of `inputs`."""
+        """Return the present row of the list for `inputs`."""
         check_limits(self._commands, inputs.limits)
         if self._begun is None:
             self._begun = inputs.t
@@ -81,7 +81,7 @@ class OpenLoop(Controller):
         return FieldCommand(field, float(frequency), progress)
 
     def reset(self) -> None:
-        """The next tick begins the list again."""
+        """Start the list again at the next tick."""
         self._begun = None
 
 
@@ -117,7 +117,7 @@ def _from_file(parameters: OpenLoopParameters) -> tuple[Commands, float]:
 
 
 def check_limits(commands: Commands, limits: Limits) -> None:
-    """NoSolutionError where `commands` ask for more than the `limits` allow."""
+    """Raise NoSolutionError if `commands` exceed the `limits`."""
     strongest = float(np.hypot(*commands.field.T).max())
     if not strongest <= limits.field * (1 + 1e-9):
         raise NoSolutionError(f'the list asks for {strongest * 1e3:g} mT; '

@@ -1,4 +1,4 @@
-"""Keeps one particle on a path, against a drift it learns, at a speed it learns."""
+"""Keep one particle on a path, with learned drift and speed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from microbot_ros.control.steering.drift_compensator import DriftCompensator
 
 @dataclass(frozen=True)
 class PathFollowingParameters:
-    """Whom to drive, and how tightly."""
+    """The particle, and how tightly it follows."""
 
     particle: int = setting(
         -1, 'Particle to drive; -1 takes the one nearest to the path.', lower=-1, upper=2**31 - 1)
@@ -43,11 +43,11 @@ class PathFollowingParameters:
 
 
 class PathFollowing(Controller):
-    """Line of sight with integral action: course = the path's direction − atan(e/Δ), crabbed.
+    """Line of sight with integral action: course = direction of the path − atan(e/Δ), minus drift.
 
-    e is the cross-track error, to the left, Δ the lookahead. What it crabs against is learned on
-    the way (`drift_compensator`). A closed path is followed round and round; at the end of an
-    open one the particle circles. A new path starts at its nearest point.
+    e is the cross-track error, to the left, Δ the lookahead. The drift is learned on the way
+    (`drift_compensator`). A closed path is followed repeatedly; at the end of an open one the
+    particle circles. A new path starts at its nearest point.
     """
 
     interface_version = 1
@@ -60,7 +60,7 @@ class PathFollowing(Controller):
         self.reset()
 
     def reset(self) -> None:
-        """Forget path, particle and what was learned of it."""
+        """Forget path, particle and what was learned about it."""
         self._path = NO_PLACES
         self._route: Route | None = None
         self._along: float | None = None
@@ -69,14 +69,14 @@ class PathFollowing(Controller):
         self._excitation = Excitation()
 
     def activate(self, inputs: ControllerInput) -> None:
-        """ParticleLostError where the particle asked for is not in `inputs`."""
+        """Raise ParticleLostError if the selected particle is not in `inputs`."""
         if self.parameters.particle >= 0:
             inputs.index(self.parameters.particle)
         self._excitation.stop()
         self._along = None
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """Along the path of `inputs`, or a triangle until it is known how the particle answers."""
+        """Return a field along the path of `inputs`, or a triangle until the response is known."""
         self._take_path(inputs)
         if self._route is None:
             return no_field('waits for a path')

@@ -1,4 +1,4 @@
-"""Plays a policy that was trained elsewhere, as in `microbot_ros.gym`, from an ONNX file."""
+"""Run a trained policy, for example from `microbot_ros.gym`, from an ONNX file."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from microbot_ros.control.steering.courses import Excitation
 _NO_FILE = "'file' names no ONNX file"
 
 EXECUTED_FILE = 'policy.file'
-"""The parameter of the controller node that names a network, which is executed when it is set."""
+"""Parameter of the controller node that names a network, which is executed when it is set."""
 
 
 @dataclass(frozen=True)
 class PolicyParameters:
-    """Which policy, and what happens before and after it."""
+    """The policy, and the field before and after it."""
 
     file: str = setting('', 'ONNX file with the policy; see docs/how-to/train_a_controller.md.')
     field_mT: float = setting(
@@ -53,10 +53,10 @@ class PolicyParameters:
 
 
 class Policy(Controller):
-    """Each particle that has a goal is to have been there once; the policy knows how.
+    """Lets a policy bring each particle to its goal once.
 
-    Until it is known how they answer, and once all have been there, the field goes round a
-    triangle, which ends where it begins.
+    Until the response of all is known, and once all have reached their goals, the field runs
+    through a triangle, which ends where it began.
     """
 
     interface_version = 1
@@ -70,12 +70,12 @@ class Policy(Controller):
         self.reset()
 
     def configure(self, parameters: Any) -> None:
-        """Load the file of `parameters`; InputError for one that is not such a policy."""
+        """Load the file of `parameters`; InputError if it is not such a policy."""
         self._policy = OnnxPolicy(Path(parameters.file)) if parameters.file else None
         super().configure(parameters)
 
     def activate(self, inputs: ControllerInput) -> None:
-        """ModelError without a file, or for `inputs` of rollers."""
+        """Raise ModelError without a file, or if the model of `inputs` is of rollers."""
         self._excitation.stop()
         if self._policy is None:
             raise ModelError(_NO_FILE)
@@ -83,12 +83,12 @@ class Policy(Controller):
             raise ModelError('drives particles that propel themselves; the model is of rollers')
 
     def reset(self) -> None:
-        """Forget the goals and who has been there."""
+        """Forget the goals and which have been reached."""
         self._task = PolicyTask()
         self._excitation = Excitation()
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """What the policy answers to `inputs`; NoSolutionError where that is no number."""
+        """Return the policy's action for `inputs`; NoSolutionError if it is NaN."""
         p, policy, task = self.parameters, self._policy, self._task
         rows = task.rows(inputs)
         if not len(rows):
@@ -117,16 +117,16 @@ class Policy(Controller):
 
 
 class OnnxPolicy:
-    """A policy from an ONNX file at `path`: one input (1, 2 + 7 K), one output (1, 2), float32.
+    """Policy from an ONNX file at `path`: one input (1, 2 + 7 K), one output (1, 2), float32.
 
-    InputError for a file that cannot be read or is something else, or without onnxruntime. It
-    computes in the thread that asks, so that the same numbers give the same answer.
+    It computes in the calling thread, so that equal inputs give equal actions. Raises InputError
+    for a file that cannot be read or is something else, and without onnxruntime.
     """
 
     def __init__(self, path: Path) -> None:
         self._run, size = _load(path)
         self.particles, rest = divmod(size - SHARED_NUMBERS, PARTICLE_NUMBERS)
-        """For how many particles K it is."""
+        """Number of particles K."""
         if rest or self.particles < 1:
             raise InputError(path, f'expected an input of {SHARED_NUMBERS} + {PARTICLE_NUMBERS} '
                              f'numbers per particle; found {size}')
@@ -139,12 +139,12 @@ class OnnxPolicy:
                              + ', '.join(str(np.shape(one)) for one in found))
 
     def answer(self, observation: np.ndarray) -> np.ndarray:
-        """The action (2,) for an `observation` (2 + 7 K,)."""
+        """Return the action (2,) for an `observation` (2 + 7 K,)."""
         return np.asarray(self._run(observation[None])[0][0])
 
 
 def _load(path: Path) -> tuple[Callable[[np.ndarray], list[Any]], int]:
-    """What runs the network of a file, and the size of its input."""
+    """Return a function that runs the network of a file, and the size of its input."""
     try:
         import onnxruntime
     except ModuleNotFoundError:

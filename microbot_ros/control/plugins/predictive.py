@@ -1,4 +1,4 @@
-"""Model-predictive control: plans with the extended model, and replans while carrying them out."""
+"""Model-predictive control: plan with the extended model, and replan while executing."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ from microbot_ros.control.planning.shared import as_complex
 from microbot_ros.control.plugins.ensemble import Ensemble, SharedFieldParameters
 from microbot_ros.model.model import Model
 
-# Without its solver this controller is left out, and the others run.
+# Without its solver this controller is not available; the others are.
 require('predictive')
 
 WORTH = 0.7
-"""Another plan is taken up if it costs less than this part of going on as before."""
+"""Choice: another plan replaces the present one if it costs less than this part of it."""
 SEARCH_EVERY = 6
-"""Ticks between looks for another plan while one is carried out."""
+"""Choice: ticks between searches for another plan while one is executed."""
 SEARCHED_AT_ONCE = 2
-"""Particles for which a tick has time to look at every plan; with more it looks at a part."""
+"""Choice: particles for which one tick searches all plans; for more it searches a part."""
 TRUST = 0.1
-"""How much of the difference to a measured heading is believed at each tick."""
+"""Choice: part of the difference to a measured heading that is adopted at each tick."""
 
 NO_MODEL = 'plans with a model; none is loaded: set model_file, as `microbot discover` writes it'
 
 
 @dataclass(frozen=True)
 class PredictiveParameters(SharedFieldParameters):
-    """The task's limits and weights, and what the model file does not say of each particle."""
+    """Limits and weights of the task, and particle data that the model file lacks."""
 
     alignment_times_s: list[float] = setting(
         [0.0], 'Alignment time of particles 0, 1, 2, … at the reference field; 0, or beyond the '
@@ -59,22 +59,22 @@ class PredictiveParameters(SharedFieldParameters):
         'kept from them; radius 0: none.',
         lower=-10000.0, upper=10000.0)
     impatience_um_s: float = setting(
-        0.1, 'The final error that a second is worth.', lower=0.0, upper=10.0)
+        0.1, 'Final error that counts as much as one second.', lower=0.0, upper=10.0)
     wander_per_s: float = setting(
         0.011, 'Rotational diffusion of the particles [rad²/s].', lower=0.0, upper=10.0)
     budget_ms: float = setting(
-        4.0, 'Time of computation per tick after which nothing more is begun.',
+        4.0, 'Computing time per tick after which no further step is started.',
         lower=0.5, upper=100.0)
 
 
 class Predictive(Ensemble):
-    """As near to all goals as the extended model allows, round obstacles and inside the view.
+    """Brings particles as near to all goals as the extended model allows, past obstacles.
 
-    Where lag differs between particles, plans turn them, let them coast apart without a field
-    and bring them on together. At each tick what is left of the plan is improved by quadratic
-    programmes, as many as time allows; from time to time, and when the plan is through, others
-    are looked for. In between, and where no plan is worth its time, it does as `ensemble` does.
-    `clock` [s] is what the budget is held against.
+    If lags differ between particles, plans turn them, let them coast apart without a field and
+    bring them on together. Each tick improves the remaining plan by quadratic programmes, as many
+    as time allows; from time to time, and at the end of the plan, others are searched for. In
+    between, and if no plan is worth its time, it acts as `ensemble`. `clock` [s] measures the
+    computing time.
     """
 
     interface_version = 1
@@ -101,7 +101,7 @@ class Predictive(Ensemble):
         self._step_time = 1e-3
 
     def configure(self, parameters: Any) -> None:
-        """Take `parameters` and load what solves and integrates: that takes longer than a tick."""
+        """Take `parameters` and load solver and integrator, which takes longer than a tick."""
         import osqp  # noqa: F401
         from scipy import sparse  # noqa: F401
 
@@ -112,14 +112,14 @@ class Predictive(Ensemble):
         _warm_up()
 
     def activate(self, inputs: ControllerInput) -> None:
-        """ModelError for `inputs` without a model."""
+        """Raise ModelError for `inputs` without a model."""
         super().activate(inputs)
         if inputs.model is None:
             raise ModelError(NO_MODEL)
         self._forget()
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """The first field of the plan for `inputs`."""
+        """Return the first field of the plan for `inputs`."""
         begun = self._clock()
         model, p = inputs.model, self.parameters
         if model is None:
@@ -132,8 +132,8 @@ class Predictive(Ensemble):
             self._forget()
             return super().compute(inputs)
         lags = p.alignment_times_s
-        # v and φ are those of now, so what changes with time does so from now on. The phase of a
-        # drift that comes and goes was counted from the beginning of some recording.
+        # v and φ are present values, so changes over time start now. The phase of a periodic drift
+        # belongs to the start of some recording.
         models = with_lags(model.without_swings(), [
             lags[k] if 0 <= k < len(lags) else 0.0 for k in inputs.ids[rows].tolist()])
         swarm = self._follow(inputs, rows, Swarm(
@@ -147,7 +147,7 @@ class Predictive(Ensemble):
         return self._carry_out(swarm, task, plan, begun)
 
     def _carry_out(self, swarm: Swarm, task: Task, plan: Plan, begun: float) -> FieldCommand:
-        """Improve the plan while there is time, and do what it says first."""
+        """Improve the plan while there is time, and return its first field."""
         end = begun + units.to_si('budget_ms', self.parameters.budget_ms)
         plan, rollout = self._refine(swarm, task, plan, end)
         self._plan = plan
@@ -159,9 +159,9 @@ class Predictive(Ensemble):
                             particles=self._ids)
 
     def _refine(self, swarm: Swarm, task: Task, plan: Plan, end: float) -> tuple[Plan, Rollout]:
-        """Step by step, while a step like those before would be through by `end` [s]."""
+        """Improve step by step, while another step is expected to finish by `end` [s]."""
         rollout = roll_out(swarm, plan, task.limit)
-        self._step_time *= 0.99  # what once took too long is tried again later
+        self._step_time *= 0.99  # so that a step that once took too long is tried again later
         now = self._clock()
         longest = 2 * (end - now)
         while now + self._step_time < end:
@@ -174,7 +174,7 @@ class Predictive(Ensemble):
         return plan, rollout
 
     def _choose(self, inputs: ControllerInput, swarm: Swarm, task: Task) -> Plan | None:
-        """What is left of the plan, or one that is clearly better; None: rest."""
+        """Return the remaining plan, or a clearly better one; None: no plan."""
         plan = None if self._plan is None else self._plan.after(inputs.dt)
         if plan is not None and not len(plan.duration):
             plan = None
@@ -204,10 +204,10 @@ class Predictive(Ensemble):
             units.to_si('impatience_um_s', p.impatience_um_s), p.wander_per_s)
 
     def _follow(self, inputs: ControllerInput, rows: np.ndarray, swarm: Swarm) -> Swarm:
-        """The swarm with its headings when this command begins to act.
+        """Return the swarm with its headings at the time when this command takes effect.
 
-        They follow the model under the last command, drawn towards the measured ones, which are
-        older by exposure and delay.
+        They follow the model under the last command, corrected towards the measured ones, which
+        are older by exposure and delay.
         """
         ids = inputs.ids[rows]
         measured = np.exp(1j * (inputs.theta[rows] - inputs.phi[rows]))
@@ -234,7 +234,7 @@ class Predictive(Ensemble):
 
 @functools.cache
 def _warm_up() -> None:
-    """One plan from beginning to end, so that whatever compiles does it now, once a process."""
+    """Make one plan, so that code is compiled and loaded once per process."""
     swarm = Swarm(np.arange(2), np.zeros(2, complex), np.array([1e-6, 1e-6j]), np.ones(2, complex),
                   with_lags(Model(1e-3), [0.1, 0.3]), 0.0)
     view = Workspace(np.array([-1e-4, -1e-4]), np.array([1e-4, 1e-4]))

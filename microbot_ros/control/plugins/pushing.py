@@ -1,4 +1,4 @@
-"""A roller pushes a bead, which no field moves, along a path."""
+"""Push a bead, which no field moves, along a path with a roller."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from microbot_ros.control.steering.courses import field_along
 from microbot_ros.control.steering.drift_compensator import DriftCompensator
 
 STEER = 1.5
-"""How far the roller leans, beyond the line through the bead, per angle that the line is off."""
+"""Choice: extra lean of the roller per angle between its line through the bead and the course."""
 STEEPEST = 1.2
-"""Most of that [rad]."""
+"""Choice: largest lean [rad]."""
 SLIPS = 1.2
-"""From this angle [rad] between push and course on the roller goes round the bead."""
+"""Choice: angle [rad] between push and course from which the roller goes round the bead."""
 BEHIND = 0.4
-"""Within this angle [rad] of the place behind the bead it pushes again."""
+"""Choice: angle [rad] from the place behind the bead within which it pushes again."""
 ROUND = 0.6
-"""How far ahead [rad] on its circle it aims when it goes round."""
+"""Choice: how far ahead [rad] on its circle the roller aims when it goes round."""
 
 
 @dataclass(frozen=True)
 class PushingParameters(PathFollowingParameters):
-    """What is pushed, by whom, and how."""
+    """The bead, the roller, and how it pushes."""
 
     particle: int = setting(
         -1, 'The bead; -1 takes the particle nearest to the path.', lower=-1, upper=2**31 - 1)
@@ -58,12 +58,12 @@ class PushingParameters(PathFollowingParameters):
 
 
 class Pushing(PathFollowing):
-    """The bead is led along the path by line of sight, as `path_following` leads a particle.
+    """Leads the bead along the path by line of sight, as `path_following` leads a particle.
 
-    It goes where the line from the roller through its centre points. That line turns away by
-    itself: the roller leans against it, by `STEER` times the angle that the line is off the
-    course wanted. Where it slips off even so it goes round the bead, on a circle, to behind it.
-    At the end of an open path it stops.
+    The bead moves along the line from the roller through its centre. That line is unstable: the
+    roller leans against it, by `STEER` times the angle between line and course. If it still slips
+    off, it goes round the bead on a circle to the place behind it. It stops at the end of an open
+    path.
     """
 
     summary = 'One roller pushes a bead along a path.'
@@ -71,28 +71,28 @@ class Pushing(PathFollowing):
     Parameters = PushingParameters
 
     def configure(self, parameters: PushingParameters) -> None:
-        """Take `parameters`; ValueError for a circle that is narrower than where they touch."""
+        """Take `parameters`; ValueError if the circle is narrower than the contact distance."""
         if not parameters.round_um > parameters.apart_um:
             raise ValueError(f'round_um must be more than apart_um; received '
                              f'{parameters.round_um:g} and {parameters.apart_um:g}')
         super().configure(parameters)
 
     def reset(self) -> None:
-        """Forget path, particles and what was learned of them."""
+        """Forget path, particles and what was learned about them."""
         super().reset()
         self._compensator = DriftCompensator(rolling=True)
         self._pusher = -1
         self._pushes = False
 
     def activate(self, inputs: ControllerInput) -> None:
-        """ModelError for `inputs` without a model of particles that roll."""
+        """Raise ModelError for `inputs` without a model of rollers."""
         if inputs.model is None or inputs.model.propulsion != 'rolling':
             raise ModelError('drives rollers: set model_file to one that says propulsion: rolling')
         super().activate(inputs)
         self._pushes = False
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """For `inputs` a push, or the way to behind the bead."""
+        """Return for `inputs` a push, or a move to the place behind the bead."""
         self._take_path(inputs)
         if self._route is None:
             return no_field('waits for a path')
@@ -119,7 +119,7 @@ class Pushing(PathFollowing):
                             Progress(message, False, progress.distance), particles)
 
     def _choose_pusher(self, inputs: ControllerInput, bead: int) -> int:
-        """The row of the roller; ParticleLostError without any."""
+        """Return the row of the roller; ParticleLostError if there is none."""
         pusher = self.parameters.pusher
         if pusher < 0:
             pusher = self._pusher
@@ -133,8 +133,9 @@ class Pushing(PathFollowing):
         return inputs.index(pusher)
 
     def _move(self, offset: complex, course: float) -> tuple[float, float, str]:
-        """Heading [rad], frequency [Hz] and what that is, at an `offset` [m] from the bead, which
-        is to go along `course` [rad].
+        """Return heading [rad], frequency [Hz] and a verb at an `offset` [m] from the bead.
+
+        The bead is to move along `course` [rad].
         """
         p = self.parameters
         touch, wide = units.to_si('apart_um', p.apart_um), units.to_si('round_um', p.round_um)

@@ -1,4 +1,4 @@
-"""Drives a rolling particle, whose speed follows the field's frequency: it can stop."""
+"""Drive a rolling particle, whose speed follows the frequency of the field: it can stop."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from microbot_ros.control.steering.goal_controller_base import (
 
 @dataclass(frozen=True)
 class RollerParameters(GoalControllerParameters):
-    """Whom to drive, how fast, and how closely."""
+    """The particle, its speed and accuracy."""
 
     arrival_um: float = setting(
         0.5, 'A goal counts as reached from this close.', lower=0.05, upper=1000.0)
@@ -37,9 +37,9 @@ class RollerParameters(GoalControllerParameters):
 
 
 class Roller(GoalControllerBase):
-    """One roller through the goals in order, and at rest at the last.
+    """Drives one roller through the goals in order; it rests at the last.
 
-    dp/dt = g f R(φ) u + w with the gain g [m/s/Hz] and a drift w: the frequency f follows the
+    dp/dt = g f R(φ) u + w with the gain g [m/s/Hz] and a drift w. The frequency f follows the
     distance, within the range in which particles roll evenly.
     """
 
@@ -50,24 +50,24 @@ class Roller(GoalControllerBase):
     rolling = True
 
     def configure(self, parameters: Any) -> None:
-        """ValueError for `parameters` whose slowest frequency lies above the fastest."""
+        """Take `parameters`; ValueError if the slowest frequency is above the fastest."""
         if not parameters.slowest_hz <= parameters.fastest_hz:
             raise ValueError(f'slowest_hz must be at most fastest_hz; received '
                              f'{parameters.slowest_hz:g} and {parameters.fastest_hz:g}')
         super().configure(parameters)
 
     def activate(self, inputs: ControllerInput) -> None:
-        """ModelError for `inputs` without a model of particles that roll."""
+        """Raise ModelError for `inputs` without a model of rollers."""
         super().activate(inputs)
         if inputs.model is None or inputs.model.propulsion != 'rolling':
             raise ModelError('drives rollers: set model_file to one that says propulsion: rolling')
 
     def fastest(self, inputs: ControllerInput) -> float:
-        """The highest frequency [Hz] it uses for `inputs`."""
+        """Return the highest frequency [Hz] for `inputs`."""
         return min(self.parameters.fastest_hz, inputs.limits.frequency)
 
     def drive(self, inputs: ControllerInput, offset: complex, strength: float) -> FieldCommand:
-        """For `inputs` the slower the nearer: `offset` [m], with a field of `strength` [T]."""
+        """Return a field of `strength` [T] for `inputs`, slower the smaller the `offset` [m]."""
         p, compensator = self.parameters, self._compensator
         if abs(offset) <= units.to_si('arrival_um', p.arrival_um):
             return no_field('')

@@ -1,4 +1,4 @@
-"""Many rollers, each to a goal of its own, by what makes them different: their step-out."""
+"""Drive many rollers, each to its own goal, by their different step-out frequencies."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ from microbot_ros.control.planning.swarm_paths import Room, between, find_ways
 from microbot_ros.control.steering.courses import field_along
 
 LONGEST_S, SHORTEST_S = 6.0, 0.5
-"""Of the ways that are done between two looks at where all have come to, in time of legs."""
+"""Choice: longest and shortest part of the paths between two plans, in time of legs [s]."""
 TIGHT = 0.6
-"""How much of the margins is kept on the detours of legs."""
+"""Choice: share of the margins that is kept on the detours of legs."""
 AGAIN = 1.5
-"""Times the distance of arrival from which on one that had arrived is brought back."""
+"""Choice: multiple of the arrival distance beyond which an arrived roller is brought back."""
 FRAMES = 9
-"""So many say how often frames come."""
+"""Choice: frame intervals whose median is the frame interval."""
 STANDING_HZ = 1e-3
-"""At which the field stands, for what goes round keeps its direction while it turns."""
+"""Choice: frequency of a standing field, above 0 because rotating fields keep their axis."""
 
 
 @dataclass(frozen=True)
 class SwarmParameters:
-    """What the rollers are, what stands in their way, and how far they keep from each other."""
+    """The rollers, the walls, and the distances to keep."""
 
     field_mT: float = setting(
         5.0, 'Strength of the field, at which the step-outs are meant.', lower=0.01, upper=100.0)
@@ -71,12 +71,12 @@ class SwarmParameters:
 
 
 class Swarm(Controller):
-    """Each roller to its own goal, past the others and the walls, at rest in the end.
+    """Drives each roller to its own goal, past the others and the walls; all rest at the end.
 
-    First it surveys which single turns of the field each of them follows (`step_out`), which says
-    all it needs to know of them. Then it finds ways for all (`swarm_paths`), some of it at each
-    tick, and does a part of them at a time: turns that add up to what each is to be displaced by,
-    ordered such that nobody goes far from its way. Those without a goal stay where they are.
+    First it surveys which single turns of the field each roller follows (`step_out`); nothing else
+    is needed. Then it finds paths for all (`swarm_paths`), a bit at each tick, and executes them
+    in parts: turns that add up to the displacement of each roller, ordered such that none goes far
+    from its path. Rollers without a goal stay where they are.
     """
 
     interface_version = 1
@@ -89,7 +89,7 @@ class Swarm(Controller):
         self.reset()
 
     def reset(self) -> None:
-        """Forget goals, ways, and what they were planned with."""
+        """Forget goals, paths and the survey."""
         self._assignment = Assignment()
         self._forget()
 
@@ -106,7 +106,7 @@ class Swarm(Controller):
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """Forget the ways, and not what was surveyed."""
+        """Forget the paths, but not the survey."""
         self._search: Generator[None, None, _Ways] | None = None
         self._ways: _Ways | None = None
         self._plan: Generator[None, None, None] | None = None
@@ -123,13 +123,13 @@ class Swarm(Controller):
         self._forget()
 
     def activate(self, inputs: ControllerInput) -> None:
-        """ModelError for `inputs` without a model of particles that roll."""
+        """Raise ModelError for `inputs` without a model of rollers."""
         if inputs.model is None or inputs.model.propulsion != 'rolling':
             raise ModelError('drives rollers: set model_file to one that says propulsion: rolling')
         self._forget()
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """For `inputs` the present leg; while it plans no field."""
+        """Return the present leg for `inputs`; no field while it plans."""
         if self._assignment.update(inputs):
             if self._search is not None:
                 self._stop()
@@ -156,8 +156,8 @@ class Swarm(Controller):
             else:
                 self._next(inputs, here, self._ways)
             self._upright = bool(self._orders)
-        # None is given over to be kept in view: that takes a frequency for the speed, and would
-        # turn the field for one that has stepped out. The ways and the legs stay in view.
+        # No particle is passed on to be kept in view: that would take the frequency for the speed
+        # and turn the field for a roller that has stepped out. Paths and legs stay in view.
         field, frequency = self._orders.popleft() if self._orders else (np.zeros(2), 0.0)
         return FieldCommand(field, frequency, self._progress(here), NO_IDS)
 
@@ -171,7 +171,7 @@ class Swarm(Controller):
                         f'last {far * 1e6:.1f} µm from its goal', self._arrived, far)
 
     def _ready(self, inputs: ControllerInput) -> bool:
-        """Whether it is known how often frames come; then it is ready to survey who is seen."""
+        """Measure the frame interval; then prepare the survey and return True."""
         if inputs.dt > 0:
             self._frames.append(inputs.dt)
         if len(self._frames) < FRAMES:
@@ -185,7 +185,7 @@ class Swarm(Controller):
         return True
 
     def _prepare(self, inputs: ControllerInput, here: np.ndarray) -> None:
-        """Go on with the survey, or after it with looking for ways from `here` (N,) [m]."""
+        """Continue the survey, or after it the search for paths from `here` (N,) [m]."""
         if self._legs:
             return self._order_next(inputs, here)
         if self._refused is not None:
@@ -203,7 +203,7 @@ class Swarm(Controller):
 
     def _find_ways(self, inputs: ControllerInput, here: np.ndarray,
                    ) -> Generator[None, None, _Ways]:
-        """From `here` (N,) [m] to the goals, by what the survey told."""
+        """Find paths from `here` (N,) [m] to the goals, with the result of the survey."""
         assert self._turns is not None
         self._turns.see(np.array(self._surveyed))
         ways = yield from find_ways(here, self._goals(inputs, here),
@@ -215,7 +215,7 @@ class Swarm(Controller):
         return _Ways(ways, np.array(took))
 
     def _goals(self, inputs: ControllerInput, here: np.ndarray) -> np.ndarray:
-        """Where each is to go (N,) [m]; those without a goal stay `here` (N,)."""
+        """Return the goals (N,) [m]; rollers without one stay `here` (N,)."""
         goal = here.copy()
         rows, goals = self._assignment.pairs(inputs)
         _, mine, given = np.intersect1d(self._ids, inputs.ids[rows], return_indices=True)
@@ -223,7 +223,7 @@ class Swarm(Controller):
         return goal
 
     def _note_leg(self, here: np.ndarray) -> None:
-        """What the leg that has ended `here` (N,) [m] did."""
+        """Record the displacement of the leg that has ended `here` (N,) [m]."""
         if self._leg is None:
             return
         assert self._turns is not None
@@ -235,7 +235,7 @@ class Swarm(Controller):
         self._leg = None
 
     def _room(self, view: Workspace, share: float) -> Room:
-        """What they keep from each other and from walls, with a `share` of the margins."""
+        """Return the distances to keep, with a `share` of the margins."""
         p = self.parameters
         radius, apart, off = units.to_si(
             'radius_um', np.array([p.radius_um, p.apart_um, p.off_walls_um]))
@@ -245,13 +245,13 @@ class Swarm(Controller):
                     radius + share * off)
 
     def _stop(self) -> None:
-        """No field flows."""
+        """Drop all orders: no field."""
         self._legs.clear()
         self._orders.clear()
         self._leg, self._plan, self._upright = None, None, False
 
     def _next(self, inputs: ControllerInput, here: np.ndarray, ways: _Ways) -> None:
-        """Order the next leg on the `ways`, if any is left to do, from `here` (N,) [m]."""
+        """Order the next leg on the paths from `here` (N,) [m], if any remains."""
         if not self._legs:
             arrival = units.to_si('arrival_um', self.parameters.arrival_um)
             far = float(np.abs(here - ways.end).max())
@@ -265,7 +265,7 @@ class Swarm(Controller):
         return None
 
     def _plans(self, inputs: ControllerInput, here: np.ndarray, ways: _Ways) -> bool:
-        """Plan the next legs from `here` (N,) [m], a bit at each tick; whether that goes on."""
+        """Plan the next legs from `here` (N,) [m], a bit per tick; return whether that goes on."""
         if self._plan is None:
             self._plan = self._plan_legs(inputs.workspace, here, ways)
         for _ in self._plan:
@@ -274,10 +274,10 @@ class Swarm(Controller):
         return False
 
     def _order_next(self, inputs: ControllerInput, here: np.ndarray) -> None:
-        """A leg from `here` (N,) [m], or before the first the field upright.
+        """Order a leg from `here` (N,) [m], or before the first one an upright field.
 
-        What goes round begins along the way, in the plane. Upright it lies across every axis, so
-        that no change of way moves anybody: all legs begin and end there.
+        A rotation starts along its direction, in the plane. Upright, the field is perpendicular to
+        every axis, so that a change of direction moves no roller: all legs start and end there.
         """
         if self._upright:
             self._leg = self._legs.popleft(), here
@@ -286,7 +286,7 @@ class Swarm(Controller):
             self._order(inputs, Leg(0, 1 + 0j), 0.25)
 
     def _order(self, inputs: ControllerInput, leg: Leg, part: float) -> None:
-        """Field [T] and frequency [Hz] of the ticks of `part` of a leg, and of the rest after."""
+        """Order field [T] and frequency [Hz] of `part` of a leg, and of the rest after it."""
         assert self._turns is not None
         strength = units.to_si('field_mT', self.parameters.field_mT)
         field = field_along(
@@ -297,7 +297,7 @@ class Swarm(Controller):
         self._standing = field
 
     def _look(self, inputs: ControllerInput) -> np.ndarray:
-        """Where all are (N,) [m]; ParticleLostError where one is not seen."""
+        """Return all positions (N,) [m]; ParticleLostError if one is not tracked."""
         lost = np.setdiff1d(self._ids, inputs.ids)
         if lost.size:
             raise ParticleLostError(f'particle {lost[0]} is not seen')
@@ -307,7 +307,7 @@ class Swarm(Controller):
 
     def _plan_legs(self, view: Workspace, here: np.ndarray, ways: _Ways,
                    ) -> Generator[None, None, None]:
-        """As long a part of the ways as goes without anybody coming near to anything."""
+        """Plan the longest part of the paths that keeps all distances."""
         assert self._turns is not None
         room = self._room(view, TIGHT)
         reach, best, chosen = min(2 * self._reach, LONGEST_S), -math.inf, []
@@ -329,7 +329,7 @@ class Swarm(Controller):
 
 
 class _Ways:
-    """How far all have come on their ways, in seconds of legs."""
+    """Progress of all rollers on their paths, in seconds of legs."""
 
     def __init__(self, ways: np.ndarray, took: np.ndarray) -> None:
         self._ways, self._times = ways, np.concatenate([[0.0], np.cumsum(took)])
@@ -337,30 +337,30 @@ class _Ways:
 
     @property
     def end(self) -> np.ndarray:
-        """The goals (N,) [m]."""
+        """Goals (N,) [m]."""
         return np.asarray(self._ways[-1])
 
     @property
     def left(self) -> float:
-        """What is left [s]."""
+        """Remaining time [s]."""
         return float(self._times[-1] - self._at)
 
     @property
     def through(self) -> bool:
-        """Whether nothing is left."""
+        """Whether nothing remains."""
         return self.left <= 0
 
     def ahead(self, seconds: float) -> np.ndarray:
-        """Where all should be (N,) [m] so many `seconds` of legs from here."""
+        """Return the intended positions (N,) [m] after `seconds` of legs from now."""
         t = min(self._at + seconds, self._times[-1])
         return np.array([np.interp(t, self._times, way) for way in self._ways.T])
 
     def advance(self, seconds: float) -> None:
-        """So many `seconds` are done."""
+        """Count `seconds` of legs as done."""
         self._at = min(self._at + seconds, self._times[-1])
 
 
 def _slack(place: np.ndarray, room: Room) -> np.ndarray:
-    """How much nearer [m] (C,) anybody could come to anything where all are at `place` (N, C)."""
+    """Return the smallest clearance (C,) [m] for positions `place` (N, C)."""
     return np.asarray(np.minimum((between(place.T) - room.apart).min(-1),
                                  (room.to_walls(place) - room.off_walls).min(0)))

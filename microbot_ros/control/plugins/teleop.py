@@ -1,4 +1,4 @@
-"""A person steers."""
+"""Steering by joystick."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from microbot_ros.control.steering.courses import field_along
 
 @dataclass(frozen=True)
 class TeleopParameters:
-    """What the stick moves."""
+    """What the joystick moves."""
 
     particle: int = setting(
         -1, 'Particle that goes where the stick points; -1 lets the field point there.',
@@ -30,11 +30,11 @@ class TeleopParameters:
     frequency_hz: float = setting(
         0.0, 'Rotation frequency for rollers at full deflection.', lower=0.0, upper=1000.0)
     dead_zone: float = setting(
-        0.15, 'Deflection that counts as none, of 1.', lower=0.0, upper=0.9)
+        0.15, 'Deflection (0 to 1) that counts as none.', lower=0.0, upper=0.9)
 
 
 class Teleop(Controller):
-    """The field, or the particle chosen, follows the joystick; without deflection no field."""
+    """The field, or the selected particle, follows the joystick; no field without deflection."""
 
     interface_version = 1
     summary = 'By joystick.'
@@ -42,12 +42,12 @@ class Teleop(Controller):
     Parameters = TeleopParameters
 
     def activate(self, inputs: ControllerInput) -> None:
-        """ParticleLostError where the particle asked for is not in `inputs`."""
+        """Raise ParticleLostError if the selected particle is not in `inputs`."""
         if self.parameters.particle >= 0:
             inputs.index(self.parameters.particle)
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """The field that the stick of `inputs` asks for."""
+        """Return the field for the joystick of `inputs`."""
         p = self.parameters
         deflection = min(math.hypot(*inputs.joystick), 1.0)
         if not deflection > p.dead_zone:

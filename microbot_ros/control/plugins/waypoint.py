@@ -1,4 +1,4 @@
-"""Sends one particle to a goal or through a list of them, and keeps it at the last."""
+"""Send one particle to a goal or through a list, and keep it at the last."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from microbot_ros.control.steering.goal_controller_base import (
 
 @dataclass(frozen=True)
 class WaypointParameters(GoalControllerParameters):
-    """Whom to drive, and how closely."""
+    """The particle, and how closely it holds."""
 
     hold_radius_um: float = setting(
         1.0, 'Radius of the circle around the last goal.', lower=0.1, upper=100.0)
 
 
 class Waypoint(GoalControllerBase):
-    """Straight to each goal, crabbed against the drift; round the last it circles, because it
-    can't stop.
+    """Drives straight to each goal, with the drift compensated, and circles the last.
+
+    A swimming particle cannot stop.
     """
 
     interface_version = 1
@@ -33,6 +34,6 @@ class Waypoint(GoalControllerBase):
     Parameters = WaypointParameters
 
     def drive(self, inputs: ControllerInput, offset: complex, strength: float) -> FieldCommand:
-        """For `inputs` along a tangent to the goal, `offset` [m] away, with `strength` [T]."""
+        """Return a field of `strength` [T] for `inputs`, tangential to the `offset` [m]."""
         course = approach(offset, units.to_si('hold_radius_um', self.parameters.hold_radius_um))
         return FieldCommand(self._compensator.steer(inputs, course, strength))

@@ -1,1 +1,1 @@
-"""What the controllers share: courses, goals, the drift they learn."""
+"""Shared parts of controllers: courses, goals, learned drift."""

@@ -1,4 +1,4 @@
-"""Keeps what is driven in view, whichever controller drives."""
+"""Keep driven particles in view, for every controller."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ from microbot_ros.control.steering.courses import field_along
 from microbot_ros.control.steering.forecast import KNOWN_WELL_ENOUGH
 
 COMES_BACK = 0.5
-"""The part of its speed with which a particle that is outside is brought back, at least."""
+"""Choice: least part of its speed with which a particle outside is brought back."""
 
 
 def kept_in_view(inputs: ControllerInput, command: FieldCommand, horizon: float) -> FieldCommand:
-    """The command, turned by the least that keeps those of `inputs` that it is for in the
-    workspace.
+    """Turn the `command` by the smallest angle that keeps its particles in the workspace.
 
-    No particle is to swim towards a border faster than its distance from it over `horizon` [s];
-    one that is outside comes back. Where one field can't do that for all, it is done for as many
-    as possible. Only particles whose speed and φ are known count; a field of zero stays zero.
-    This is a control barrier function, h the distance: dh/dt ≥ −h/horizon.
+    No particle may swim towards a border faster than its distance from it over `horizon` [s]; one
+    that is outside comes back. If one field cannot do that for all, it does so for as many as
+    possible. Only particles of `inputs` with known speed and φ count; zero field stays zero. This
+    is a control barrier function, h the distance: dh/dt ≥ −h/horizon.
     """
     if not command.in_plane or _clear(
             inputs.expected, inputs.speed, command.frequency or 1.0, inputs.workspace.low,
@@ -53,7 +52,7 @@ def kept_in_view(inputs: ControllerInput, command: FieldCommand, horizon: float)
 
 @numba.njit(cache=True)
 def _clear(expected, speed, turns, low, high, horizon):  # type: ignore[no-untyped-def]
-    """Whether no particle could be out of the workspace within the horizon [s]."""
+    """Return whether no particle could leave the workspace within the horizon [s]."""
     for n in range(len(speed)):
         pace = speed[n] * max(turns, 1.0) * horizon
         for axis in range(2):
@@ -64,7 +63,7 @@ def _clear(expected, speed, turns, low, high, horizon):  # type: ignore[no-untyp
 
 
 def _concerned(inputs: ControllerInput, command: FieldCommand) -> np.ndarray:
-    """Which particles (N,) are to be kept in view."""
+    """Return the particles (N,) to keep in view."""
     known = inputs.learned(KNOWN_WELL_ENOUGH) & (inputs.speed > 0)
     known &= np.isfinite(inputs.speed) & np.isfinite(inputs.expected).all(1)
     if command.particles is not None:
@@ -73,7 +72,7 @@ def _concerned(inputs: ControllerInput, command: FieldCommand) -> np.ndarray:
 
 
 def _least_turn(u: complex, normal: np.ndarray, most: np.ndarray) -> complex:
-    """The direction nearest to u among those that break fewest of Re(n̄ u) ≤ h, n and h (K,)."""
+    """Return the direction nearest to u that violates fewest of Re(n̄ u) ≤ h, n and h (K,)."""
     ends = np.exp(1j * np.arccos(most / np.abs(normal)))
     along = normal / np.abs(normal)
     ways = np.concatenate([[u], along * ends, along / ends])

@@ -1,4 +1,4 @@
-"""What the controllers share: courses, the field that steers along them, checked goals."""
+"""Shared parts of controllers: courses, the field along them, checked goals."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from microbot_ros.control.contract import ControllerInput, FieldCommand, GoalErr
 
 
 def approach(offset: complex, hold_radius: float) -> float:
-    """The course [rad] to a place at `offset` [m], which a particle that can't stop will circle.
+    """Return the course [rad] to a place at `offset` [m], for a particle that cannot stop.
 
-    From afar along the tangent to a circle of radius `hold_radius` [m] about the place, so that
-    it is joined without a turn; on the circle round it, counter-clockwise; from within outwards.
-    A circle keeps the distance constant and shows an estimator every direction.
+    From afar it is the tangent to a circle of `hold_radius` [m] about the place, so that the
+    circle is joined without a turn; on the circle it runs counter-clockwise; from inside it leads
+    outwards. A circle keeps the distance constant and shows an estimator every direction.
     """
     distance = abs(offset)
     if distance >= hold_radius:
@@ -26,10 +26,10 @@ def approach(offset: complex, hold_radius: float) -> float:
 
 
 def field_along(inputs: ControllerInput, angle: float, strength: float) -> np.ndarray:
-    """The command (2,) [T] whose field at the particles of `inputs` points along `angle` [rad].
+    """Return the command (2,) [T] whose field at the particles points along `angle` [rad].
 
-    As strong as `strength` [T] where the limit leaves room for what the model knows of the
-    chain from command to field (stray field, unequal or leaning coils), which is made up for.
+    Its strength is `strength` [T], if the limit of `inputs` leaves room to compensate the known
+    errors of the path from command to field (stray field, unequal or tilted coils).
     """
     limit = inputs.limits.field
     strength = min(strength, limit)
@@ -46,7 +46,7 @@ def field_along(inputs: ControllerInput, angle: float, strength: float) -> np.nd
 
 
 def goals_in_reach(inputs: ControllerInput) -> np.ndarray:
-    """The goals (G, 2) [m] of `inputs`; GoalError for one that no camera could see."""
+    """Return the goals (G, 2) [m] of `inputs`; GoalError if one is outside the workspace."""
     position = inputs.goals.position
     lost = np.flatnonzero(~inputs.workspace.holds(position))
     if lost.size:
@@ -56,21 +56,21 @@ def goals_in_reach(inputs: ControllerInput) -> np.ndarray:
 
 
 class Excitation:
-    """The course of the field while it is not known how particles answer: a triangle.
+    """Course of the field while the response of the particles is unknown: a triangle.
 
-    It comes back to where it began, and shows an estimator three directions.
+    It returns to its start and shows an estimator three directions.
     """
 
     def __init__(self) -> None:
         self._begun: float | None = None
 
     def stop(self) -> None:
-        """The next one begins anew."""
+        """Stop; the next command starts a new triangle."""
         self._begun = None
 
     def command(self, inputs: ControllerInput, leg: float, strength: float, *,
                 particles: np.ndarray | None, frequency: float = 0.0) -> FieldCommand:
-        """For `inputs` a field of `strength` [T] and `frequency` [Hz]; each side takes `leg` [s].
+        """Return a field of `strength` [T] and `frequency` [Hz] for `inputs`; `leg` [s] per side.
 
         `particles` (K,) are the ids of those it is for; None: all.
         """

@@ -1,4 +1,4 @@
-"""Knows the particle that is driven: where it is, how it answers, what carries it away."""
+"""Track the driven particle: position, response to the field, and drift."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from microbot_ros.control.steering.courses import field_along
 from microbot_ros.control.steering.drift_observer import DriftObserver
 
 UNKNOWN_ANSWER = 10e-6
-"""Prior standard deviation of the answer to the field [m/s] where nothing is known."""
+"""Choice: prior standard deviation of an unknown response to the field [m/s]."""
 EXPECTED_DRIFT = 1e-6
-"""Prior standard deviation of the drift [m/s]."""
+"""Choice: prior standard deviation of the drift [m/s]."""
 WELL_ENOUGH = 0.2
-"""Standard deviation of the answer, of its size, from which on it is steered by."""
+"""Choice: relative standard deviation of the response below which it is used."""
 
 
 class DriftCompensator:
-    """Steers one particle at a time along courses over ground, against a drift it learns.
+    """Steers one particle at a time along courses over ground, against a learned drift.
 
-    The particle's own speed and φ, and the drift, come from a filter that runs along; estimates
-    in the input only start it. For `rolling` particles the answer is the gain [m/s/Hz].
+    Its speed, φ and drift come from a filter; the estimates in the input only initialise it. For
+    `rolling` particles the response is the gain [m/s/Hz].
     """
 
     def __init__(self, rolling: bool = False) -> None:
@@ -33,7 +33,7 @@ class DriftCompensator:
         self._seen = -math.inf
 
     def look(self, inputs: ControllerInput, row: int) -> complex:
-        """Where [m] the particle in a `row` of `inputs` will be when a command given now acts."""
+        """Return the position [m] of a `row` of `inputs` when a command given now takes effect."""
         exposed, record = inputs.t - inputs.age, inputs.record
         measured = complex(*inputs.position[row].tolist())
         sigma = float(inputs.sigma[row])
@@ -55,27 +55,27 @@ class DriftCompensator:
 
     @property
     def ready(self) -> bool:
-        """Whether it is known how the particle answers."""
+        """Whether the response of the particle is known."""
         observer = self._observer
         return observer is not None and (
             observer.answer_std <= WELL_ENOUGH * abs(observer.answer))
 
     @property
     def answer(self) -> complex:
-        """c = v e^{iφ} of the particle looked at last [m/s, or m/s/Hz]."""
+        """Velocity phasor c = v e^{iφ} of the last particle [m/s, or m/s/Hz]."""
         assert self._observer is not None
         return self._observer.answer
 
     @property
     def drift(self) -> complex:
-        """What carries it away [m/s]."""
+        """Drift of the particle [m/s]."""
         assert self._observer is not None
         return self._observer.drift
 
     def steer(self, inputs: ControllerInput, course: float, strength: float) -> np.ndarray:
-        """The field (2,), of `strength` [T], along `course` [rad] over ground for `inputs`.
+        """Return the field (2,) of `strength` [T] for a `course` [rad] over ground, for `inputs`.
 
-        Crabbed against the drift, as far as the particle is faster than that.
+        The drift is compensated, as far as the particle is faster.
         """
         across = (self.drift * cmath.exp(-1j * course)).imag / abs(self.answer)
         heading = course - math.asin(min(max(across, -1.0), 1.0))

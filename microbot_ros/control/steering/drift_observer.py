@@ -1,4 +1,4 @@
-"""Learns, while driving, how one particle answers to the field and what carries it away."""
+"""Filter that learns the response of one particle to the field, and its drift."""
 
 from __future__ import annotations
 
@@ -10,17 +10,24 @@ from microbot_ros.common.compiled import numba
 
 
 class DriftObserver:
-    """A Kalman filter for dp/dt = c u + w, all complex: speed, angle and drift at once.
+    """Kalman filter for dp/dt = c u + w, all complex: speed, angle and drift at once.
 
-    State: position p [m], answer c = v e^{iφ} [m/s], drift w [m/s]; each but the first wanders
-    slowly. As nothing prefers a direction, one Hermitian 3 × 3 covariance serves x and y; its
-    entries are variances per coordinate, at first of `answer_std` and `drift_std`. The drift is
-    what integral action is to a path follower, in the frame in which it is constant: that of the
-    workspace, not of the path.
+    State: position p [m], velocity phasor c = v e^{iφ} [m/s], drift w [m/s]; c and w wander
+    slowly. Since no direction is preferred, one Hermitian 3 × 3 covariance serves x and y; its
+    entries are variances per coordinate. The drift takes the role of integral action of a path
+    follower, in the frame in which it is constant: that of the workspace, not of the path.
+
+    Parameters
+    ----------
+    position : complex [m]
+    answer, answer_std : complex, float [m/s]
+        Initial velocity phasor and its standard deviation.
+    drift_std : float [m/s]
+        Initial standard deviation of the drift.
     """
 
     WANDER = np.array([0.3e-6**2, 0.05e-6**2, 0.1e-6**2])
-    """Growth of the variance per second: Brownian motion [m²/s], of c and w [m²/s³]."""
+    """Choice: growth of the variance per second, Brownian motion [m²/s], of c and w [m²/s³]."""
 
     def __init__(self, position: complex, answer: complex, answer_std: float,
                  drift_std: float) -> None:
@@ -28,14 +35,14 @@ class DriftObserver:
         self._covariance = np.diag([1e-12, answer_std**2, drift_std**2]).astype(complex)
 
     def update(self, shared: complex, dt: float, measured: complex, sigma: float) -> None:
-        """`dt` [s] after the measurement before: `measured` position ± `sigma` [m].
+        """Process the position `measured` ± `sigma` [m], `dt` [s] after the measurement before.
 
         `shared` is ∫u dt [s] in between.
         """
         _update(self._state, self._covariance, shared, dt, measured, sigma, self.WANDER)
 
     def jump(self, dt: float, measured: complex, sigma: float) -> None:
-        """The same with `measured` and `sigma`, where it is not known what the field did."""
+        """Process `measured` and `sigma` after `dt` [s] in which the field is unknown."""
         self._state[0] = measured
         kept = self._covariance + np.diag(self.WANDER * dt)
         kept[0, :] = kept[:, 0] = 0
@@ -44,7 +51,7 @@ class DriftObserver:
 
     @property
     def answer(self) -> complex:
-        """c = v e^{iφ} [m/s]."""
+        """Velocity phasor c = v e^{iφ} [m/s]."""
         return complex(self._state[1])
 
     @property
@@ -54,17 +61,17 @@ class DriftObserver:
 
     @property
     def drift(self) -> complex:
-        """w [m/s]."""
+        """Drift w [m/s]."""
         return complex(self._state[2])
 
     def ahead(self, shared: complex, dt: float) -> complex:
-        """Where the particle is `dt` [s] after the last measurement, ∫u dt = `shared` later."""
+        """Return the position `dt` [s] after the last measurement, with ∫u dt = `shared`."""
         return complex(self._state[0] + self._state[1] * shared + self._state[2] * dt)
 
 
 @numba.njit('void(c16[::1], c16[:, ::1], c16, f8, c16, f8, f8[::1])', cache=True)
 def _update(state, covariance, shared, dt, measured, sigma, wander):  # type: ignore[no-untyped-def]
-    """`DriftObserver.update`, in place."""
+    """Apply `DriftObserver.update` in place."""
     state[0] += shared * state[1] + dt * state[2]
     for k in range(3):
         covariance[0, k] += shared * covariance[1, k] + dt * covariance[2, k]

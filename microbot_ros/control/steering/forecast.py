@@ -1,4 +1,4 @@
-"""Where particles will be when a command given now takes effect."""
+"""Predicted positions of particles when a command given now takes effect."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from microbot_ros.control.contract import ControllerInput
 from microbot_ros.control.field_record import FieldRecord
 
 KNOWN_WELL_ENOUGH = 0.5
-"""Standard deviation of φ [rad] up to which a forecast beats the measured position."""
+"""Choice: standard deviation of φ [rad] up to which a forecast replaces the measured position."""
 
 
 def look_ahead(inputs: ControllerInput, record: FieldRecord) -> np.ndarray:
-    """Where the particles of `inputs` will be (N, 2) [m], by the first-order model.
+    """Predict the positions (N, 2) [m] of `inputs` by the first-order model.
 
-    A particle moves v e^{iφ} ∫u dt, under the fields of a `record`, from its exposure until a
-    command of now takes effect. Where φ is not known well enough to do better, the measured
-    position stands.
+    A particle moves by v e^{iφ} ∫u dt, under the fields of `record`, from its exposure until a
+    command given now takes effect. If φ is not known well enough, the measured position is
+    returned.
     """
     rolling = inputs.model is not None and inputs.model.propulsion == 'rolling'
     shared = record.shared(inputs.t - inputs.age, inputs.t + inputs.delay, rolling)

@@ -1,4 +1,4 @@
-"""What the controllers of one particle with goals have in common."""
+"""Base of controllers that drive one particle to goals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from microbot_ros.control.steering.goal_sequence import GoalSequence
 
 @dataclass(frozen=True)
 class GoalControllerParameters:
-    """Whom to drive, and how closely."""
+    """The particle, and how closely it reaches goals."""
 
     particle: int = setting(
         -1, 'Identity of the particle to drive; -1 takes the one nearest to the first goal.',
@@ -37,8 +37,10 @@ class GoalControllerParameters:
 
 
 class GoalControllerBase(Controller):
-    """One particle through the goals in order; a new list starts from its first, an empty one
-    cancels. Until the particle's answer to the field is known, the field goes round a triangle.
+    """Drives one particle through the goals in order.
+
+    A new list starts from its first goal, an empty one cancels. Until the particle's response to
+    the field is known, the field runs through a triangle.
     """
 
     Parameters = GoalControllerParameters
@@ -49,19 +51,19 @@ class GoalControllerBase(Controller):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the goals, how far they were done, whom it drove and what was learned of it."""
+        """Forget goals, progress, the particle and what was learned about it."""
         self._sequence = GoalSequence()
         self._excitation = Excitation()
         self._compensator = DriftCompensator(self.rolling)
 
     def activate(self, inputs: ControllerInput) -> None:
-        """ParticleLostError where the particle asked for is not in `inputs`."""
+        """Raise ParticleLostError if the selected particle is not in `inputs`."""
         self._excitation.stop()
         if self.parameters.particle >= 0:
             inputs.index(self.parameters.particle)
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """For `inputs` towards the next goal, or what is done at the last, or the triangle."""
+        """Return a field for `inputs`: to the goal, at the last goal, or a triangle."""
         p: Any = self.parameters
         sequence, compensator = self._sequence, self._compensator
         sequence.update(inputs, p.particle)
@@ -84,9 +86,9 @@ class GoalControllerBase(Controller):
             particles=particles)
 
     def fastest(self, inputs: ControllerInput) -> float:
-        """The highest frequency [Hz] it uses for `inputs`."""
+        """Return the highest frequency [Hz] for `inputs`."""
         return 0.0
 
     @abstractmethod
     def drive(self, inputs: ControllerInput, offset: complex, strength: float) -> FieldCommand:
-        """For `inputs`, with a field of `strength` [T] to the present goal, `offset` [m] away."""
+        """Return a field of `strength` [T] for `inputs` to the goal at `offset` [m]."""

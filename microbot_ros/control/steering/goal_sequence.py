@@ -1,4 +1,4 @@
-"""One particle's list of goals, and how far it has come."""
+"""List of goals of one particle, and its progress."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from microbot_ros.control.steering.courses import goals_in_reach
 
 
 class GoalSequence:
-    """Goals in order for one particle, named or chosen.
+    """Goals in order for one particle, given or chosen.
 
-    The particle is the one asked for, else the one that the goals name first, else the one seen
-    nearest to the first goal; a chosen one that is lost is replaced by the one nearest to where it
-    was, which may well be the same under another name. Goals that name particles are taken for
-    that one only. A new list starts from its first.
+    The particle is the requested one, else the first that the goals name, else the one nearest to
+    the first goal. A chosen one that is lost is replaced by the one nearest to its last position,
+    which may be the same under a new id. Goals that name particles are used for that one only. A
+    new list starts from its first goal.
     """
 
     def __init__(self) -> None:
@@ -38,16 +38,16 @@ class GoalSequence:
 
     @property
     def present(self) -> int:
-        """Number of the goal that it goes to, from 0."""
+        """Index of the present goal."""
         return self._next
 
     def __str__(self) -> str:
         return f'particle {self.particle}: goal {self._next + 1} of {len(self)}'
 
     def update(self, inputs: ControllerInput, asked: int) -> None:
-        """Look at the goals of `inputs`; `asked` is the particle to drive, −1 for any.
+        """Take the goals of `inputs`; `asked` is the requested particle, −1 for any.
 
-        GoalError for a goal outside the workspace.
+        Raises GoalError for a goal outside the workspace.
         """
         if inputs.goals is not self._goals or inputs.workspace is not self._workspace:
             goals_in_reach(inputs)
@@ -63,7 +63,7 @@ class GoalSequence:
         self._named = named >= 0
 
     def row(self, inputs: ControllerInput) -> int:
-        """The particle's row of `inputs`; ParticleLostError where it, or any, is not seen."""
+        """Return the particle's row of `inputs`; ParticleLostError if there is none."""
         if not self._named and self.particle not in inputs.ids:
             if not len(inputs.ids):
                 raise ParticleLostError('no particle is seen')
@@ -75,9 +75,9 @@ class GoalSequence:
         return row
 
     def offset(self, place: complex, arrival: float) -> complex:
-        """The way [m] from a place to the present goal; those within `arrival` [m] are done.
+        """Return the vector [m] from `place` to the present goal, past goals within `arrival` [m].
 
-        After the last one, the way to that.
+        After the last goal, the vector to that one.
         """
         while True:
             offset = complex(*self._position[self._next].tolist()) - place

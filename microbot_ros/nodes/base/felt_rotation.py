@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from sensor_msgs.msg import MagneticField
 
 from microbot_ros.loop.felt_rotation import FeltRotation
@@ -15,18 +15,35 @@ from microbot_ros.nodes.base.core import Core
 
 def follow_rotation(node: Core, tell: Callable[[float, np.ndarray], None],
                     read_back: bool = True) -> None:
-    """Let a `node` hear what is commanded on `field/rotation` and, with `read_back`, what flows by
-    `field/applied`, and `tell` what rollers feel of it: (time [s], angular velocity (2,) [rad/s]).
+    """Let a `node` follow the rotation that rollers feel.
+
+    Parameters
+    ----------
+    node
+        Node that subscribes to `field/rotating` and to `field/command`, which ends a rotation.
+    tell
+        Called with each change: time [s], angular velocity (2,) [rad/s].
+    read_back
+        Whether rollers stand still while `field/applied` shows no field.
     """
     felt = FeltRotation()
 
-    def on_rotation(message: Vector3Stamped) -> None:
-        tell(*felt.command(*messages.vector_at(message)))
+    def on_rotating(message: TwistStamped) -> None:
+        _, angular_velocity = messages.rotating_field(message)
+        if changed := felt.command(
+                messages.to_seconds(message.header.stamp), angular_velocity[:2]):
+            tell(*changed)
+
+    def on_command(message: Vector3Stamped) -> None:
+        t, _ = messages.vector_at(message)
+        if changed := felt.command(t, np.zeros(2)):
+            tell(*changed)
 
     def on_applied(message: MagneticField) -> None:
         if changed := felt.applied(*messages.whole_field_at(message)):
             tell(*changed)
 
-    node.subscribe(Vector3Stamped, 'field/rotation', on_rotation)
+    node.subscribe(Vector3Stamped, 'field/command', on_command)
+    node.subscribe(TwistStamped, 'field/rotating', on_rotating)
     if read_back:
         node.subscribe(MagneticField, 'field/applied', on_applied)

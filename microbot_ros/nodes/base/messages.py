@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Pose, PoseArray, Vector3, Vector3Stamped
+from geometry_msgs.msg import Pose, PoseArray, TwistStamped, Vector3, Vector3Stamped
 from sensor_msgs.msg import (
     CameraInfo,
     Image,
@@ -268,6 +268,36 @@ def vector(message: Vector3Stamped) -> np.ndarray:
     """All of a `message` (3,), in the workspace frame. MessageError for another frame."""
     in_workspace(message.header)
     return np.array([message.vector.x, message.vector.y, message.vector.z])
+
+
+def rotating(field: np.ndarray, angular_velocity: np.ndarray, stamp: Time) -> TwistStamped:
+    """Return the message on `field/rotating` of a `stamp`.
+
+    Parameters
+    ----------
+    field
+        Field vector that rotates (2,), in the plane, or (3,) [T].
+    angular_velocity
+        Angular velocity of the field (3,) [rad/s].
+    stamp
+        Exposure of the frame that the command answers.
+    """
+    message = TwistStamped(header=Header(stamp=stamp, frame_id=WORKSPACE))
+    for part, values in ((message.twist.linear, field), (message.twist.angular, angular_velocity)):
+        for name, value in zip('xyz', values.tolist(), strict=False):
+            setattr(part, name, value)
+    return message
+
+
+def rotating_field(message: TwistStamped) -> tuple[np.ndarray, np.ndarray]:
+    """Return field (3,) [T] and angular velocity (3,) [rad/s] of a `message` on `field/rotating`.
+
+    Raises MessageError for a frame other than the workspace's.
+    """
+    in_workspace(message.header)
+    field, angular_velocity = (np.array([part.x, part.y, part.z]) for part in (
+        message.twist.linear, message.twist.angular))
+    return field, angular_velocity
 
 
 def plan_rows(message: JointTrajectory) -> Commands:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
+from geometry_msgs.msg import PoseArray, PoseStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.qos import (
@@ -43,7 +43,7 @@ TOPICS: dict[str, tuple[type, QoSProfile]] = {
     'field/plan': (JointTrajectory, KEPT),
     'joy': (Joy, KEPT),
     'field/command': (Vector3Stamped, KEPT),
-    'field/rotation': (Vector3Stamped, KEPT),
+    'field/rotating': (TwistStamped, KEPT),
     'field/applied': (MagneticField, KEPT),
     'coils/command': (JointState, KEPT),
     'coils/applied': (JointState, KEPT),

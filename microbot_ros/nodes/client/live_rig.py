@@ -15,7 +15,7 @@ from microbot_ros.nodes.base.lifecycle import RigNode
 ACTING = frozenset({'camera', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig'})
 """Nodes that see or move particles. A recorder or a viewer may watch whatever is played."""
 _GONE_BY = ('camera/image_raw', 'particles', 'model/state', 'field/command', 'field/applied',
-            'field/rotation')
+            'field/rotating')
 _ANSWER_SECONDS = 10.0
 """A node that is just starting answers nothing yet; one that takes longer counts as live."""
 _NAMELESS = '_NODE_NAME_UNKNOWN_'

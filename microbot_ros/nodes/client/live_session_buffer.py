@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from sensor_msgs.msg import JointState, MagneticField, PointCloud2
 
 from microbot_ros.common import units
@@ -16,7 +16,7 @@ from microbot_ros.common.records import Conditions, Session, Tracks
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.client.graph_client import GraphClient
-from microbot_ros.session.mcap.from_recording import commands_of
+from microbot_ros.session.mcap.from_recording import SERIES, commands_of
 
 _LIVE_SECONDS = 1.0
 
@@ -42,16 +42,12 @@ class LiveSessionBuffer:
         self._client = client
         subscribe = client.node.create_subscription
         subscribe(PointCloud2, 'particles', self._on_particles, 200)
-        taken: list[tuple[str, type, Callable[[Any], tuple[float, ...]]]] = [
-            ('field/rotation', Vector3Stamped,
-             lambda m: (math.hypot(m.vector.x, m.vector.y) / math.tau,))]
         if applied and self.conditions().propulsion != 'rolling':
             subscribe(MagneticField, 'field/applied', self._take_applied, 200)
-        else:
-            taken += [('field/command', Vector3Stamped, lambda m: (m.vector.x, m.vector.y)),
-                      ('coils/applied', JointState, lambda m: (float(any(m.effort)),))]
-        for topic, kind, value in taken:
-            subscribe(kind, topic, self._taker(topic, value), 200)
+            return
+        for topic, kind in (('field/command', Vector3Stamped), ('field/rotating', TwistStamped),
+                            ('coils/applied', JointState)):
+            subscribe(kind, topic, self._taker(topic, SERIES[topic][1]), 200)
 
     def conditions(self) -> Conditions:
         """What the model node was told of particles and fluid."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -37,7 +37,8 @@ from microbot_ros.tracking import ImageToWorkspace
 
 _NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _OFTEN: dict[str, type] = {
-    'model/state': PointCloud2, 'field/command': Vector3Stamped, 'field/applied': MagneticField,
+    'model/state': PointCloud2, 'field/command': Vector3Stamped, 'field/rotating': TwistStamped,
+    'field/applied': MagneticField,
     'field/measured': MagneticField, 'coils/applied': JointState, 'coils/measured': JointState,
     'coil_driver/latency': TimeReference}
 """What is said many times a second: kept as it came, and read when a state is made of it."""
@@ -349,11 +350,15 @@ class RigView:
                 'title': values.get('title', '')}
 
     def _field(self) -> dict[str, Any] | None:
-        wanted, applied, measured = (
-            self._read(topic) for topic in ('field/command', 'field/applied', 'field/measured'))
+        applied, measured = (self._read(topic) for topic in ('field/applied', 'field/measured'))
+        newest = max(('field/command', 'field/rotating'),
+                     key=lambda topic: self._raw.get(topic, (-math.inf, b''))[0])
+        wanted = self._read(newest)
+        if wanted is not None:
+            wanted = wanted.twist.linear if newest == 'field/rotating' else wanted.vector
         if wanted is None and applied is None and measured is None:
             return None
-        return {'wanted_mT': _millitesla(wanted and wanted.vector),
+        return {'wanted_mT': _millitesla(wanted),
                 'applied_mT': _millitesla(applied and applied.magnetic_field),
                 'measured_mT': _millitesla(measured and measured.magnetic_field)}
 

@@ -27,18 +27,18 @@ def session_of(recording: Recording) -> Session:
 
     Tracks come from `particles` at the time of exposure (`header.stamp`); rows that hold no
     position are gaps. Commands come from `field/command` and, where particles roll,
-    `field/rotation`, at the time of receipt: the stamp of a command is the exposure it answers,
+    `field/rotating`, at the time of receipt: the stamp of a command is the exposure it answers,
     not the moment it takes force. Where `coils/applied` shows that the gate let no current
-    through, the command is zero. A recording without `field/command` gives `field/applied`
-    instead, or no commands. Conditions come from the recording's metadata named `session`.
+    through, the command is zero. A recording without commands gives `field/applied`
+    instead, or none. Conditions come from the recording's metadata named `session`.
 
     InputError where there are no tracks, or a topic holds what it should not.
     """
     particles = recording.topic('particles', 'sensor_msgs/msg/PointCloud2')
     if particles is None:
         raise InputError(recording.path, 'expected a topic particles')
-    series = [found for name in _SERIES if (found := _find_series(recording, name))]
-    if any(one.name == 'field/command' for one in series):
+    series = [found for name in SERIES if (found := _find_series(recording, name))]
+    if any(one.name in _COMMANDS for one in series):
         series = [one for one in series if one.name != 'field/applied']
     by_topic = {one.topic: one for one in series}
     sightings = _Sightings(recording, particles)
@@ -124,7 +124,7 @@ class _Series:
 
 
 def _find_series(recording: Recording, name: str) -> _Series | None:
-    msgtype, value = _SERIES[name]
+    msgtype, value = SERIES[name]
     topic = recording.topic(name, msgtype)
     if topic is None or not recording.topics[topic].count:
         return None
@@ -132,25 +132,30 @@ def _find_series(recording: Recording, name: str) -> _Series | None:
 
 
 def commands_of(series: dict[str, tuple[np.ndarray, np.ndarray]]) -> Commands:
-    """The commands that topics tell together: `series` of times (K,) [s] and values (K, n) by
-    topic.
+    """Return the commands in `series`: topic → times (K,) [s] and values (K, n).
 
-    `field/command` (K, 2) [T] is what matters, `field/rotation` (K, 1) [Hz] turns it, and
-    `coils/applied` (K, 1) says whether any current flowed; without `field/command`,
-    `field/applied` (K, 2) [T] stands in.
+    `field/command` (K, 2) [T] is a field that stands, `field/rotating` (K, 3) [T, T, Hz] one that
+    rotates, and `coils/applied` (K, 1) is 1 where any current flowed. `field/rotation` (K, 1) [Hz]
+    in recordings of earlier versions makes `field/command` rotate. Without any command,
+    `field/applied` (K, 2) [T] takes its place.
     """
-    if 'field/command' not in series:
+    commands = [(times, np.pad(values, [(0, 0), (0, 3 - values.shape[1])]))
+                for name in _COMMANDS if name in series for times, values in [series[name]]]
+    if not commands:
         nothing = np.empty(0), np.empty((0, 2))
         return changes(*series.get('field/applied', nothing), None)
-    gate, rotation = series.get('coils/applied'), series.get('field/rotation')
     t = np.unique(np.concatenate([times for times, _ in series.values()]))
-    commanded = _held(t, *series['field/command'])
-    if gate is not None:
-        commanded = commanded * _held(t, *gate)
-    if rotation is None:
-        return changes(t, commanded, None)
-    # No field turns nothing, whatever rate was last told.
-    return changes(t, commanded, _held(t, *rotation)[:, 0] * commanded.any(axis=1))
+    times, rows = (np.concatenate(parts) for parts in zip(*commands, strict=True))
+    order = np.argsort(times, kind='stable')
+    commanded = _held(t, times[order], rows[order])
+    if 'coils/applied' in series:
+        commanded = commanded * _held(t, *series['coils/applied'])
+    field, frequency = commanded[:, :2], commanded[:, 2]
+    if 'field/rotation' in series:
+        # No field turns nothing, whatever rate was last told.
+        frequency = _held(t, *series['field/rotation'])[:, 0] * field.any(axis=1)
+    rolls = {'field/rotating', 'field/rotation'} & series.keys()
+    return changes(t, field, frequency if rolls else None)
 
 
 def _held(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -200,14 +205,22 @@ def _any_current(content: Any) -> tuple[bool]:
     return (bool(np.any(content.effort)),)
 
 
-def _frequency(content: Any) -> tuple[float]:
-    vector = content.vector
-    return (float(np.hypot(vector.x, vector.y)) / (2 * np.pi),)
+def _frequency(vector: Any) -> float:
+    return float(np.hypot(vector.x, vector.y)) / (2 * np.pi)
 
 
-_SERIES: dict[str, tuple[str, Callable[[Any], tuple[float, ...]]]] = {
+def _rotating(content: Any) -> tuple[float, float, float]:
+    field = content.twist.linear
+    return field.x, field.y, _frequency(content.twist.angular)
+
+
+_COMMANDS = ('field/command', 'field/rotating')
+
+SERIES: dict[str, tuple[str, Callable[[Any], tuple[float, ...]]]] = {
     'field/command': ('geometry_msgs/msg/Vector3Stamped', _vector),
+    'field/rotating': ('geometry_msgs/msg/TwistStamped', _rotating),
     'field/applied': ('sensor_msgs/msg/MagneticField', _magnetic),
-    'field/rotation': ('geometry_msgs/msg/Vector3Stamped', _frequency),
+    'field/rotation': ('geometry_msgs/msg/Vector3Stamped', lambda m: (_frequency(m.vector),)),
     'coils/applied': ('sensor_msgs/msg/JointState', _any_current),
 }
+"""Topic → type of its messages and the function that returns the values of one."""

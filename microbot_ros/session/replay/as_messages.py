@@ -14,9 +14,10 @@ from microbot_ros.session.mcap.recording import Message, Topic
 
 PARTICLES = '/particles'
 COMMAND = '/field/command'
-ROTATION = '/field/rotation'
+ROTATING = '/field/rotating'
 _CLOUD = 'sensor_msgs/msg/PointCloud2'
 _VECTOR = 'geometry_msgs/msg/Vector3Stamped'
+_TWIST = 'geometry_msgs/msg/TwistStamped'
 _FRAME = 'workspace'
 _POINT = np.dtype([('id', '<u4')] + [
     (name, '<f4') for name in ('x', 'y', 'theta', 'vx', 'vy', 'sigma')
@@ -29,8 +30,8 @@ class SessionMessages:
     """A session to be read like a recording: its first row at 1 s of ROS time, since zero means
     that no clock is known.
 
-    Tracks are `particles`, one message a frame, without velocities. Commands are `field/command`
-    and, for rolling particles, `field/rotation`: the angular velocity of the rotating field.
+    Tracks are `particles`, one message a frame, without velocities. Commands are `field/command`,
+    or, for rolling particles, `field/rotating`.
     """
 
     def __init__(self, session: Session) -> None:
@@ -42,9 +43,9 @@ class SessionMessages:
         self.start_ns, self.end_ns = int(everything.min()), int(everything.max())
         self.topics = {PARTICLES: Topic(_CLOUD, len(np.unique(self._track_ns)))}
         if len(self._command_ns):
-            self.topics[COMMAND] = Topic(_VECTOR, len(self._command_ns))
-            if session.commands.frequency is not None:
-                self.topics[ROTATION] = Topic(_VECTOR, len(self._command_ns))
+            rolls = session.commands.frequency is not None
+            self.topics[ROTATING if rolls else COMMAND] = Topic(
+                _TWIST if rolls else _VECTOR, len(self._command_ns))
 
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int | None = None,
@@ -56,7 +57,7 @@ class SessionMessages:
         move.
         """
         series = {
-            COMMAND: self._commands(), ROTATION: self._rotations(), PARTICLES: self._particles(),
+            COMMAND: self._commands(), ROTATING: self._rotating(), PARTICLES: self._particles(),
         }
         chosen = [
             stream for name, stream in series.items()
@@ -85,23 +86,24 @@ class SessionMessages:
             yield _message(PARTICLES, _CLOUD, t_ns, _cloud(rows, t_ns))
 
     def _commands(self) -> Iterator[Message]:
-        field = self._session.commands.field
-        return self._vectors(COMMAND, np.column_stack([field, np.zeros(len(field))]))
+        types = typestore().types
+        make, vector = types[_VECTOR], types['geometry_msgs/msg/Vector3']
+        for t_ns, field in zip(
+                self._command_ns.tolist(), self._session.commands.field.tolist(), strict=True):
+            yield _message(COMMAND, _VECTOR, t_ns, make(_header(t_ns), vector(*field, 0.0)))
 
-    def _rotations(self) -> Iterator[Message]:
-        commands = self._session.commands
-        if commands.frequency is None:
-            return iter(())
-        # A sphere on the floor turning with ω moves along ω × ẑ.
-        bx, by = commands.field.T
-        rate = 2 * np.pi * commands.frequency / np.maximum(np.hypot(bx, by), np.finfo(float).tiny)
-        return self._vectors(ROTATION, np.column_stack([-by * rate, bx * rate, np.zeros_like(bx)]))
-
-    def _vectors(self, topic: str, values: np.ndarray) -> Iterator[Message]:
-        make = typestore().types['geometry_msgs/msg/Vector3']
-        content = typestore().types[_VECTOR]
-        for t_ns, value in zip(self._command_ns.tolist(), values.tolist(), strict=True):
-            yield _message(topic, _VECTOR, t_ns, content(_header(t_ns), make(*value)))
+    def _rotating(self) -> Iterator[Message]:
+        types, commands = typestore().types, self._session.commands
+        make, twist, vector = (types[f'geometry_msgs/msg/{name}']
+                               for name in ('TwistStamped', 'Twist', 'Vector3'))
+        assert commands.frequency is not None
+        rate = 2 * np.pi * commands.frequency / np.maximum(
+            np.hypot(*commands.field.T), np.finfo(float).tiny)
+        for t_ns, (x, y), w in zip(self._command_ns.tolist(), commands.field.tolist(),
+                                   rate.tolist(), strict=True):
+            # A sphere on the floor that rotates with ω moves along ω × ẑ.
+            yield _message(ROTATING, _TWIST, t_ns, make(_header(t_ns), twist(
+                vector(x, y, 0.0), vector(-y * w, x * w, 0.0))))
 
 
 def _nanoseconds(t: np.ndarray) -> np.ndarray:

@@ -49,8 +49,7 @@ class TopicDifference:
 
     `pairs` messages have a partner, `unequal` of them differ in some field; `only_a` and
     `only_b` have none. `largest` is the largest difference between numbers, by field. Messages
-    whose difference cannot be judged count in none of these but in `unjudged`; `judged_to_ns` is
-    the stamp of the first of them, None where there is none.
+    whose difference cannot be judged count in none of these but in `unjudged`.
     """
 
     topic: str
@@ -61,7 +60,6 @@ class TopicDifference:
     first: FirstDifference | None
     largest: dict[str, float]
     unjudged: int = 0
-    judged_to_ns: int | None = None
 
     @property
     def same(self) -> bool:
@@ -120,13 +118,12 @@ def _compare_topic(
     for side, entries in enumerate(unpaired):
         for stamp, _ in entries:
             frames[stamp].only[side] += 1
-    unjudged = [stamp for stamp, frame in frames.items()
-                if doubt is not None and not frame.same and stamp >= doubt.first_ns]
+    unjudged = {stamp for stamp, frame in frames.items()
+                if doubt is not None and not frame.same and stamp >= doubt.first_ns}
     if doubt is not None and len(unjudged) > doubt.share * len(frames):
-        unjudged = []
-    left_out = set(unjudged)
-    return _sum(topic, [frame for stamp, frame in frames.items() if stamp not in left_out],
-                unjudged)
+        unjudged.clear()
+    return _sum(topic, [frame for stamp, frame in frames.items() if stamp not in unjudged],
+                len(unjudged))
 
 
 def _pair(frame: _Frame, t_s: float, left: dict[str, Any], right: dict[str, Any],
@@ -139,7 +136,7 @@ def _pair(frame: _Frame, t_s: float, left: dict[str, Any], right: dict[str, Any]
         frame.first = frame.first or FirstDifference(t_s, field + place, x, y)
 
 
-def _sum(topic: str, frames: list[_Frame], unjudged: list[int]) -> TopicDifference:
+def _sum(topic: str, frames: list[_Frame], unjudged: int) -> TopicDifference:
     largest: dict[str, float] = {}
     for frame in frames:
         for field, size in frame.largest.items():
@@ -149,7 +146,7 @@ def _sum(topic: str, frames: list[_Frame], unjudged: list[int]) -> TopicDifferen
     return TopicDifference(
         topic, sum(frame.pairs for frame in frames), sum(frame.unequal for frame in frames),
         sum(frame.only[0] for frame in frames), sum(frame.only[1] for frame in frames), first,
-        largest, len(unjudged), min(unjudged, default=None))
+        largest, unjudged)
 
 
 def _keyed(

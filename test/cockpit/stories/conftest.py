@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from microbot_ros.cockpit.discovery import Discovery
+from microbot_ros.cockpit.recordings import Recordings
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -42,7 +43,8 @@ def rig() -> Any:
 def server(rig: Any, tmp_path: Path) -> Iterator[Any]:
     """The cockpit's server before the stand-in."""
     from microbot_ros.cockpit.server import Server
-    server = Server(rig, Discovery('', tmp_path), '127.0.0.1', 0, open_to_all=True)
+    server = Server(rig, Discovery('', tmp_path), Recordings(tmp_path), '127.0.0.1', 0,
+                    open_to_all=True)
     server.start()
     yield server
     rig.close()

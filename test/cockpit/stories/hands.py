@@ -37,7 +37,7 @@ def switch(page: Any, name: str) -> None:
     """Let the controller of that `name` drive."""
     page.select_option('#controller', name)
     page.click('#controller-form button')
-    page.wait_for_selector(f'#controller-now:has-text("At work: {name}.")')
+    page.wait_for_selector(f'#controller-now:has-text("At work: {name.replace("_", " ")}.")')
 
 
 def mode(page: Any, name: str) -> None:

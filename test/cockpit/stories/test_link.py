@@ -11,6 +11,7 @@ import pytest
 from hands import part
 
 from microbot_ros.cockpit.discovery import Discovery
+from microbot_ros.cockpit.recordings import Recordings
 from microbot_ros.cockpit.server import Server
 
 pytestmark = pytest.mark.rig
@@ -26,7 +27,8 @@ def second_life(rig: Any, server: Any, tmp_path: Path) -> Any:
 
     def begin() -> None:
         made.append(Server(
-            rig, Discovery('', tmp_path), '127.0.0.1', port, open_to_all=True))
+            rig, Discovery('', tmp_path), Recordings(tmp_path), '127.0.0.1', port,
+            open_to_all=True))
         made[0].start()
 
     yield begin

@@ -1,8 +1,8 @@
-"""Rollers that a controller drives, without ROS: fields sample by sample, moments that slip.
+"""Rollers driven by a controller, without ROS: fields sample by sample, moments that slip.
 
-The physics is finer than what any controller here knows: the field goes round as the driver makes
-it go round, the moment of each roller follows in three dimensions as far as it can (`rolling`),
-and the `World` moves them, with Brownian motion and contact.
+The physics is finer than what any controller knows: the field rotates as the driver makes it, the
+moment of each roller follows in three dimensions as far as it can (`rolling`), and the `World`
+moves the rollers, with Brownian motion and contact.
 """
 
 from __future__ import annotations
@@ -33,19 +33,21 @@ from microbot_ros.virtual_rig.rolling import Rolling
 from microbot_ros.virtual_rig.world import World
 
 FIELD = 5e-3
-"""Strength [T] at which step-out frequencies are meant."""
+"""Choice: field [T] for which step-out frequencies are stated, the default of the rig."""
+# The default workspace of the controller node.
 VIEW = Workspace(np.array([-140e-6, -104e-6]), np.array([140e-6, 104e-6]))
 FLUID = Fluid(viscosity=1e-3, height=2.6e-6)
-"""Water, in which spheres of 2.3 µm roll 0.3 µm above the floor."""
-_SAMPLE_S = 1e-3
-_SIGMA = 5e-8
-_QUICK_S = 5e-4
+"""Choice: water; spheres of 2.3 µm roll 0.3 µm above the floor."""
+# Choices: step of the field [s], localisation error [m], alignment time of the bodies [s].
+_SAMPLE_S, _SIGMA, _QUICK_S = 1e-3, 5e-8, 5e-4
 
 
 @dataclass(frozen=True)
 class Rollers:
-    """What each is (N,): `gain` [m per turn], `phi` [rad], `step_out` [Hz] at `FIELD`, `radius`
-    [m]. One whose gain is 0 is a bead, which no field moves.
+    """Properties of N rollers.
+
+    `gain` (N,) [m per turn], `phi` (N,) [rad], `step_out` (N,) [Hz] at `FIELD`, `radius` (N,) [m].
+    A roller with a gain of 0 is a bead, which no field moves.
     """
 
     gain: np.ndarray
@@ -54,7 +56,7 @@ class Rollers:
     radius: np.ndarray
 
     def bodies(self, position: np.ndarray) -> np.ndarray:
-        """At `position` (N, 2) [m]. What they roll stirs the water."""
+        """Return bodies at `position` (N, 2) [m]; their rotation stirs the water."""
         moment = rotational_drag(FLUID, self.radius) / (_QUICK_S * FIELD)
         made = bodies(FLUID, self.radius, moment, self.phi, position, gain=self.gain)
         made['stir'] = np.where(self.gain > 0, stirring(self.radius), 0.0)
@@ -62,21 +64,29 @@ class Rollers:
 
 
 def stirring(radius: np.ndarray) -> np.ndarray:
-    """`BODY.stir` (N,) [m⁴ per turn] of spheres of a `radius` (N,) [m] that turn on the floor.
+    """Return `BODY.stir` (N,) [m⁴ per turn] of spheres of `radius` (N,) [m] on the floor.
 
-    The flow far from a torque 8πηa³ω along a floor at the height h, at that height, is
-    6ωa³h cos ϑ/r³ outward (Blake and Chwang, Journal of Engineering Mathematics 8, 23 (1974)).
+    The far flow of a torque 8πηa³ω along a floor at the height h, at that height, is 6ωa³h cos
+    ϑ/r³ outward (Blake and Chwang, Journal of Engineering Mathematics 8, 23 (1974)).
     """
     return np.asarray(6 * math.tau * radius**3 * (FLUID.height or 0.0))
 
 
 class RollingLoop:
-    """A `world` of `rollers`, a camera, and a controller that has been `told` of them.
+    """World of rollers with a camera and a controller.
 
-    They begin at `position` (N, 2) [m], between `walls` (W, 4) [m] as a `World` has them; `seed`
-    decides all chance. The controller sees every `period` [s] where they are, with 50 nm of
-    noise; what it commands acts `delay` [s] later. `told` are the gain [m per turn] and φ [rad]
-    that it is given for each, (N,) and (N,): the truth unless said.
+    The controller gets positions every `period` [s], with 50 nm of noise; its commands act `delay`
+    [s] later.
+
+    Parameters
+    ----------
+    rollers : Rollers
+    position : (N, 2) array [m]
+    seed : int
+    walls : (W, 4) array [m]
+        As in `World`.
+    told : tuple of two (N,) arrays, optional
+        Gain [m per turn] and φ [rad] given to the controller; by default the truth.
     """
 
     period = 1 / 60
@@ -97,10 +107,10 @@ class RollingLoop:
 
     def run(self, controller: Controller, seconds: float,
             note: Callable[[float, Outcome], bool | None], **what: Any) -> None:
-        """Close the loop for `seconds`, or until `note` says so.
+        """Close the loop with a `controller` for `seconds`, or until `note` returns True.
 
-        It is called with the time [s] and what came of each frame. `what` is told beside the
-        particles: goals, a path.
+        `note` is called with the time [s] and the outcome of each frame. `what` are further
+        inputs: goals, a path.
         """
         manager = ControllerManager(
             {'it': controller}, 'it', deadline=10.0, worker=UnhurriedWorker)
@@ -126,7 +136,7 @@ class RollingLoop:
             model=Model(FIELD, 'rolling'))
 
     def _advance(self, until: float) -> None:
-        """Let the world live until then under the fields that were ordered."""
+        """Advance the world under the ordered fields."""
         samples = np.arange(self._t, until - _SAMPLE_S / 2, _SAMPLE_S)
         if not len(samples):
             return
@@ -136,7 +146,7 @@ class RollingLoop:
         self._t = until
 
     def _sample(self, t: float) -> np.ndarray:
-        """The field (3,) [T] at `t` [s]."""
+        """Return the field (3,) [T] at `t` [s]."""
         while self._orders and self._orders[0][0] <= t:
             self._turn(t, self._orders.popleft()[1])
         if self._rotation.turns:
@@ -144,7 +154,7 @@ class RollingLoop:
         return self._field
 
     def _turn(self, t: float, order: FieldCommand) -> None:
-        """From now on as ordered: about the axis ẑ × u, about which rollers go along u."""
+        """Start an ordered rotation about ẑ × u, which rolls particles along u."""
         strength = math.hypot(*order.field.tolist())
         if not (strength > 0 and order.frequency > 0):
             self._rotation.stop()
