@@ -78,9 +78,11 @@ def discover(sessions: Sequence[Session],
         learned.fit if learned else known.fit, [p.session for p in start.session_fits],
         known.credible, truth, run, partial(relearn, learned.findings) if learned else None)
     if judgement.left and not predicted.worth_explaining(known.fit):
-        judgement, learned = judgement.foretelling_nothing(), None
-    fit = learned.fit if learned else known.fit
+        judgement = judgement.foretelling_nothing()
     complete = judgement.verdict != 'unnamed'
+    if complete:
+        learned = None
+    fit = learned.fit if learned else known.fit
     intervals = Intervals(known.fit, complete, known.within_reach() if complete else ())
     effects = [NamedEffect(
         slot.own.id, judgement.status(slot.own.id), intervals.effect(slot.own.id),

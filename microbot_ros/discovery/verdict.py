@@ -87,9 +87,12 @@ class Judgement:
     def foretelling_nothing(self) -> Judgement:
         """Where what is left, in maps or as a learned term, foretells nothing of other rows.
 
-        Names then need not explain it: it stands beside them.
+        Names then need not explain it: it stands beside them. But for a rhythm, which no term that
+        is learned could show.
         """
-        return replace(self, left=(), beside=(*self.left, *self.beside), unlisted=False)
+        rhythm = tuple(m for m in self.left if m.against.startswith('rhythm'))
+        beside = tuple(m for m in self.left if m not in rhythm)
+        return replace(self, left=rhythm, beside=(*beside, *self.beside), unlisted=False)
 
     @property
     def answered(self) -> bool:

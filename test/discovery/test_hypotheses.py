@@ -11,6 +11,7 @@ from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.hypotheses import (
     Candidate,
     Slot,
+    _exchange,
     consider,
     fit_first_order,
     joint_log_bayes_factor,
@@ -116,3 +117,15 @@ def test_the_search_ends_where_models_repeat(drifting, monkeypatch):
     other = fit_first_order(drifting).model.with_effect(UniformDrift(1e-7, 0.0))
     monkeypatch.setattr('microbot_ros.discovery.hypotheses._exchange', lambda *_: other)
     assert consider(drifting).names == ('uniform_drift',)
+
+
+def test_effects_are_not_exchanged_back(drifting):
+    """Two that are each likelier than the other may both be there."""
+    fit = fit_first_order(drifting)
+    one, other = (Candidate(fit_candidate(fit, name), evidence) for name, evidence in (
+        ('command_delay', 20.0), ('uniform_drift', 30.0)))
+    slot = Slot(fit, one, (other,))
+    assert _exchange([slot], [('command_delay',)]) is other.found.fit.model
+    assert _exchange([slot], [('uniform_drift',), ('command_delay',)]) is None
+    unlikely = Slot(fit, replace(one, evidence=0.0), ())
+    assert _exchange([unlikely], [()]) is fit.model
