@@ -123,9 +123,9 @@ def test_effects_are_not_exchanged_back(drifting):
     """Two that are each likelier than the other may both be there."""
     fit = fit_first_order(drifting)
     one, other = (Candidate(fit_candidate(fit, name), evidence) for name, evidence in (
-        ('command_delay', 20.0), ('uniform_drift', 30.0)))
+        ('uniform_drift', 20.0), ('linear_flow', 30.0)))
     slot = Slot(fit, one, (other,))
-    assert _exchange([slot], [('command_delay',)]) is other.found.fit.model
-    assert _exchange([slot], [('uniform_drift',), ('command_delay',)]) is None
+    assert _exchange([slot], [('uniform_drift',)]) is other.found.fit.model
+    assert _exchange([slot], [('linear_flow',), ('uniform_drift',)]) is None
     unlikely = Slot(fit, replace(one, evidence=0.0), ())
     assert _exchange([unlikely], [()]) is fit.model
