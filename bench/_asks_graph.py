@@ -18,7 +18,7 @@ import numpy as np
 
 from bench import _rig
 from bench._asks_worlds import hidden_world
-from bench._emulator import FULL_SCALE_A, Emulator
+from bench._emulator import FULL_SCALE_A, EmulatorProcess
 from bench._hidden_effects import LISTED
 from bench._hidden_suite import FLUID
 from bench.figure import Figure
@@ -82,7 +82,7 @@ def ask(effect: str) -> Asked:
     """Hide an `effect` in the virtual rig, at its strength in a world, and let the rig ask."""
     with tempfile.TemporaryDirectory(prefix='bench-asks-') as name:
         folder = Path(name)
-        with (Emulator(folder, 'serial_transfer') as board,
+        with (EmulatorProcess(folder) as board,
               _rig.graph(folder, _nodes(effect, folder, board)),
               GraphClient('bench') as client):
             answers = _rig.listen(client)
@@ -98,7 +98,7 @@ def ask(effect: str) -> Asked:
                          answers.written_s)
 
 
-def _nodes(effect: str, folder: Path, board: Emulator) -> dict[str, dict[str, Any]]:
+def _nodes(effect: str, folder: Path, board: EmulatorProcess) -> dict[str, dict[str, Any]]:
     """The nodes and their parameters: the particles of that world, on a stage of ours."""
     rig, hidden = hidden_world(_SEED, (effect,))
     swarm, body = rig.world.bodies, {

@@ -27,7 +27,7 @@ from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import Joy
 from std_srvs.srv import SetBool
 
-from bench._emulator import FULL_SCALE_A, Emulator
+from bench._emulator import FULL_SCALE_A, EmulatorProcess
 from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
@@ -42,7 +42,7 @@ _JOY_S = 0.05
 class _Rig:
     """Five nodes that drive the amplifier; what was ended is started again by `drive`."""
 
-    def __init__(self, folder: Path, board: Emulator, client: GraphClient) -> None:
+    def __init__(self, folder: Path, board: EmulatorProcess, client: GraphClient) -> None:
         self.board = board
         self._parameters = _parameters(folder, board)
         self._client = client
@@ -85,9 +85,8 @@ class _Rig:
 
     def _driving(self) -> bool:
         """Whether currents flow and we hear the commands, as the driver does."""
-        self.board.read()
         heard = bool(self._commands) and time.monotonic() - self._commands[-1] < _HEARD_S
-        return heard and not self.board.changes[-1][1]
+        return heard and not self.board.zero
 
     def _armed(self) -> bool:
         # Not `GraphClient.arm`, which would wait long for an answer of a driver that was killed.
@@ -101,7 +100,7 @@ class _Rig:
         """
         ended = time.monotonic()
         end()
-        if not self._within(_DEADLINE_S, lambda: self.board.changes[-1][1]):
+        if not self._within(_DEADLINE_S, lambda: self.board.zero):
             raise TimeoutError('the coils never came to zero')
         zeroed = next(t for t, zero in self.board.changes if zero and t > ended)
         self._catch_up(zeroed)
@@ -116,14 +115,12 @@ class _Rig:
             self._client.spin(_SILENT_S)
 
     def _within(self, seconds: float, true: Callable[[], bool]) -> bool:
-        """Whether something comes true in time; the log is read meanwhile."""
+        """Whether something comes true in time."""
         deadline = time.monotonic() + seconds
-        self.board.read()
         while not true():
             if time.monotonic() > deadline:
                 return False
             self._spin(0.002)
-            self.board.read()
         return True
 
     def _spin(self, seconds: float) -> None:
@@ -172,7 +169,7 @@ def _run_node(name: str, parameters: Path) -> None:
     sys.exit(run([name], ['--ros-args', '--params-file', str(parameters)]))
 
 
-def _parameters(folder: Path, board: Emulator) -> Path:
+def _parameters(folder: Path, board: EmulatorProcess) -> Path:
     """A film of three particles that rest, and a controller that drives one way."""
     scope = Microscope(MicroscopeSettings(), seed=3)
     place = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6
@@ -216,7 +213,7 @@ def spent_s(tries: int) -> dict[str, list[float]]:
     random.seed(2)
     spent: dict[str, list[float]] = {}
     with (tempfile.TemporaryDirectory() as folder,
-          Emulator(Path(folder), 'serial_transfer') as board, GraphClient('bench') as client):
+          EmulatorProcess(Path(folder)) as board, GraphClient('bench') as client):
         rig = _Rig(Path(folder), board, client)
         try:
             for name, (end, mend, deaf) in _ends(rig).items():

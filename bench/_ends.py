@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bench._emulator import Emulator
+from bench._emulator import EmulatorProcess
 from bench._lines import Host
 from bench._matrix import PHASES, Cell, longest_s, table
 from microbot_ros.drive.amplifier import Zero, amplifier_class
@@ -48,7 +48,7 @@ def cells(tries: int) -> Iterator[tuple[str, str, str, Cell]]:
     random.seed(4)
     with tempfile.TemporaryDirectory() as folder:
         for protocol in DEVICES:
-            with Emulator(Path(folder), protocol) as board:
+            with EmulatorProcess(Path(folder), protocol) as board:
                 for way in WAYS:
                     for phase in PHASES:
                         cell = Cell()
@@ -57,7 +57,7 @@ def cells(tries: int) -> Iterator[tuple[str, str, str, Cell]]:
                         yield protocol, way, phase, cell
 
 
-def _try(protocol: str, board: Emulator, way: str, phase: str, cell: Cell) -> None:
+def _try(protocol: str, board: EmulatorProcess, way: str, phase: str, cell: Cell) -> None:
     host = Host(protocol, board.url)
     try:
         _bring_into(protocol, host, board, phase)
@@ -67,16 +67,16 @@ def _try(protocol: str, board: Emulator, way: str, phase: str, cell: Cell) -> No
         ended_s = time.monotonic()
         WAYS[way](host)
         time.sleep(_WATCHED_S)
-        board.read()
-        before = [currents for moment_s, currents in board.flowed if moment_s <= ended_s][-1]
-        after = [change for change in board.flowed if change[0] > ended_s]
+        flowed = [(one['t_monotonic_s'], tuple(one['currents_A'])) for one in board.entries()]
+        before = [currents for moment_s, currents in flowed if moment_s <= ended_s][-1]
+        after = [change for change in flowed if change[0] > ended_s]
         cell.spent_s.append(
             longest_s([(ended_s, before), *after], ended_s + _WATCHED_S, away))
     finally:
         host.end()
 
 
-def _bring_into(protocol: str, host: Host, board: Emulator, phase: str) -> None:
+def _bring_into(protocol: str, host: Host, board: EmulatorProcess, phase: str) -> None:
     if phase == 'arming':
         if amplifier_class(protocol).reads_back:
             _await_pulse(host, board)
@@ -94,9 +94,8 @@ def _bring_into(protocol: str, host: Host, board: Emulator, phase: str) -> None:
         time.sleep(random.uniform(0.2, 0.4))
 
 
-def _await_pulse(host: Host, board: Emulator) -> None:
+def _await_pulse(host: Host, board: EmulatorProcess) -> None:
     """Arm, and return once a coil carries the current of the self-check."""
-    board.read()
     before = len(board.changes)
     asked_s = -math.inf
     while all(zero for _, zero in board.changes[before:]):
@@ -104,7 +103,6 @@ def _await_pulse(host: Host, board: Emulator) -> None:
             host.say('arm')  # refused until something was measured
             asked_s = time.monotonic()
         time.sleep(0.0005)
-        board.read()
 
 
 if __name__ == '__main__':

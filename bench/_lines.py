@@ -19,8 +19,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bench._emulator import FULL_SCALE_A, Emulator
-from bench._served import MEASURED
+from bench._emulator import FULL_SCALE_A, MEASURED, EmulatorProcess
 from microbot_ros.common.real_time import SAFETY, set_realtime_priority_of_all
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
@@ -57,7 +56,7 @@ class Host:
 
 
 @contextmanager
-def driving(protocol: str, board: Emulator) -> Iterator[Host]:
+def driving(protocol: str, board: EmulatorProcess) -> Iterator[Host]:
     """A host that drives the coils; another where the one before left its line in disorder."""
     for _ in range(_HOSTS):
         host = Host(protocol, board.url)
@@ -78,7 +77,7 @@ def spent_s(tries: int, host_tries: int,
     with tempfile.TemporaryDirectory() as folder:
         for protocol in protocols:
             for delay in DELAYS_MS:
-                with Emulator(Path(folder), protocol, '--fault', f'delay={delay}') as board:
+                with EmulatorProcess(Path(folder), protocol, '--fault', f'delay={delay}') as board:
                     spent[protocol, delay, 'commands'] = list(_silent(protocol, board, tries))
                     for way in _WAYS:
                         spent[protocol, delay, way] = [
@@ -89,7 +88,7 @@ def spent_s(tries: int, host_tries: int,
     return spent
 
 
-def _silent(protocol: str, board: Emulator, tries: int) -> Iterator[float]:
+def _silent(protocol: str, board: EmulatorProcess, tries: int) -> Iterator[float]:
     """A try that was cut before tells nothing of silence: it is named, another takes its place.
 
     Raises RuntimeError where that happens more than once in five tries.
@@ -110,15 +109,14 @@ def _silent(protocol: str, board: Emulator, tries: int) -> Iterator[float]:
             yield board.zero_after(last, _DEADLINE_S) - last
 
 
-def _ended(protocol: str, board: Emulator, way: str) -> float:
+def _ended(protocol: str, board: EmulatorProcess, way: str) -> float:
     """Once more where the coils were at zero before, cut by a line or a machine that stalled."""
     for _ in range(_HOSTS):
         with driving(protocol, board) as host:
             time.sleep(random.uniform(0.05, 0.15))
             ended = time.monotonic()
             os.kill(host.process.pid, _WAYS[way])
-            board.read()
-            if board.changes[-1][1] and board.changes[-1][0] < ended:
+            if board.zero and board.changes[-1][0] < ended:
                 continue
             return board.zero_after(ended, _DEADLINE_S) - ended
     raise RuntimeError(f'{protocol}: cut {_HOSTS} times before its end')

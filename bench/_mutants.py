@@ -57,7 +57,7 @@ TESTS = {
 those of a protocol."""
 
 _EXPLAINED = Path(__file__).with_name('mutants.txt')
-_IMPORTING = ('microbot_ros', 'test', 'conftest', 'bench._served')
+_IMPORTING = ('microbot_ros', 'test', 'conftest', 'bench._emulator')
 _HANGS_S = 30
 _QUICKLY = ['-x', '-q', '--assert=plain', '--tb=no', '-p', 'no:xdist',
             '--timeout', str(_HANGS_S), '--timeout-method', 'thread']

@@ -17,7 +17,7 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import Image, JointState, TimeReference
 from visualization_msgs.msg import MarkerArray
 
-from bench._emulator import FULL_SCALE_A, Emulator
+from bench._emulator import FULL_SCALE_A, EmulatorProcess
 from microbot_ros.common.errors import RigError
 from microbot_ros.nodes.client.graph import Graph
 from microbot_ros.nodes.client.graph_client import GraphClient
@@ -45,7 +45,7 @@ def answers(film: list[np.ndarray], rate_hz: float, frames: int, *,
     os.environ.setdefault('ROS_DOMAIN_ID', str(215 + os.getpid() % 17))  # nobody else's graph
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        with (Emulator(folder, 'serial_transfer') as board,
+        with (EmulatorProcess(folder) as board,
               running(folder, film, board, rate_hz, **(
                   {'recorder': {'folder': str(folder / 'recording')}} if recorder else {})),
               GraphClient('bench') as client):
@@ -53,7 +53,7 @@ def answers(film: list[np.ndarray], rate_hz: float, frames: int, *,
 
 
 @contextmanager
-def running(folder: Path, film: list[np.ndarray], board: Emulator, rate_hz: float,
+def running(folder: Path, film: list[np.ndarray], board: EmulatorProcess, rate_hz: float,
             **more: dict[str, Any]) -> Iterator[None]:
     """The nodes of a rig whose camera plays a `film`, and whose coils turn, and `more`, with their
     parameters; the files are in `folder`."""

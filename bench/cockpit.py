@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool
 from websockets.sync.client import ClientConnection, connect
 
 from bench import _browser, _rig
-from bench._emulator import Emulator
+from bench._emulator import EmulatorProcess
 from bench.figure import Figure
 from microbot_ros.cockpit.address import WORDS
 from microbot_ros.common.errors import RigError
@@ -45,7 +45,7 @@ def figures() -> list[Figure]:
     os.environ.setdefault('ROS_DOMAIN_ID', str(215 + os.getpid() % 17))  # nobody else's graph
     with tempfile.TemporaryDirectory(prefix='bench-cockpit-') as name:
         folder = Path(name)
-        with (Emulator(folder, 'serial_transfer') as board,
+        with (EmulatorProcess(folder) as board,
               _rig.running(folder, _film(), board, _RATE_HZ,
                            recorder={'recording': False}),
               GraphClient('bench') as client, _browser.browser() as browser):
@@ -193,7 +193,7 @@ class _Bench:
         _look(pages, _PHASE_S)
         return (sum(process.cpu_times()[:2]) - before) / (time.monotonic() - begin)
 
-    def stopped(self, board: Emulator) -> Figure:
+    def stopped(self, board: EmulatorProcess) -> Figure:
         """From STOP to zero by a page, over the same by a client of the service."""
         direct = self._client.node.create_client(SetBool, 'coil_driver/arm')
         direct.wait_for_service()
@@ -213,12 +213,11 @@ class _Bench:
         return _figure('STOP to zero over a direct call of the service', ours / theirs, 2.0,
                        f'the service: {1e3 * theirs:.1f} ms, median of {_STOPS}')
 
-    def _let_flow(self, board: Emulator) -> None:
+    def _let_flow(self, board: EmulatorProcess) -> None:
         """Armed, and currents there, whatever a busy machine cuts."""
         for _ in range(_TRIES):
             _rig.drive(self._client, self._answers, 0.5)
-            board.read()
-            if not board.changes[-1][1]:
+            if not board.zero:
                 return
         raise RigError('coil_driver: no currents flow')
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from bench._served import FULL_SCALE_A, LIMITS, Served, until
+from bench._emulator import FULL_SCALE_A, LIMITS, Served, until
 from bench.figure import Figure
 from microbot_ros.cli.demo.robots import three_pairs
 from microbot_ros.drive.amplifier import Command
@@ -71,7 +71,7 @@ class _Rig:
     def __init__(self, coils: CoilSet, folder: Path) -> None:
         self.make = Allocator(coils).linear
         self.matrix = coils.actuation_matrix()
-        self.board = Served('serial_transfer', folder, 0.1, 6)
+        self.board = Served(folder, channels=6)
         self.amplifier = _Noted(self.board.url, FULL_SCALE_A, 6, baud=2_000_000)
         self.driver = CoilDriver(
             self.amplifier, _LIMITS, lambda _: None, self_check=False, accept_no_watchdog=True)

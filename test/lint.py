@@ -12,6 +12,7 @@
 import ast
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 import microbot_ros
@@ -39,15 +40,13 @@ def public_modules(room):
             yield path, ast.parse(path.read_text(encoding='utf-8'))
 
 
+@cache
 def classes_by_name():
     found = {}
     for room in ROOMS:
         for _, tree in public_modules(room):
             found |= {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
     return found
-
-
-CLASSES = classes_by_name()
 
 
 def names_in(annotation):
@@ -58,7 +57,7 @@ def names_in(annotation):
 def inherits(method, cls):
     """Whether a class above defines the method and says what it does."""
     for base in cls.bases:
-        above = CLASSES.get(re.split(r'[.\[]', ast.unparse(base))[-1])
+        above = classes_by_name().get(re.split(r'[.\[]', ast.unparse(base))[-1])
         if above is None or above is cls:
             continue
         own = {node.name: node for node in above.body if isinstance(node, FUNCTION)}
@@ -79,7 +78,8 @@ def undescribed(function, docstring):
         if one is None or one.arg in ('self', 'cls') or one.arg.startswith('_'):
             continue
         types = names_in(one.annotation)
-        ours = any(ast.get_docstring(CLASSES[t]) for t in types & CLASSES.keys())
+        known = types & classes_by_name().keys()
+        ours = any(ast.get_docstring(classes_by_name()[name]) for name in known)
         if not ours and not types & _SAYS_IT_ALL and not described(one.arg, docstring):
             yield one.arg
 
@@ -109,7 +109,7 @@ def undescribed_fields(cls, docstring):
         name = node.target.id
         below = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
         declared = isinstance(node.value, ast.Call)  # a setting or a parameter, with its meaning
-        ours = names_in(node.annotation) & CLASSES.keys()
+        ours = names_in(node.annotation) & classes_by_name().keys()
         if not (name.startswith('_') or below or declared or ours or described(name, docstring)):
             yield name
 

@@ -11,8 +11,7 @@ from microbot_ros.discovery.starting_points import likely_places, rotating_compo
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood.model_fit import ModelFit
 from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
-from microbot_ros.model.effect import Effect
-from microbot_ros.model.evidence import AnyEffect, Evidence, Recorded
+from microbot_ros.model.effect import AnyEffect, Effect, Evidence, Recorded
 from microbot_ros.model.model import Propulsion
 from microbot_ros.session.tables.folder import NOMINAL_FIELD
 

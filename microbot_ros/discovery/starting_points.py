@@ -14,9 +14,8 @@ import numpy as np
 
 from microbot_ros.estimation.likelihood.joint import SessionFit
 from microbot_ros.estimation.likelihood.model_fit import ModelFit
-from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect import AnyEffect, Effect
 from microbot_ros.model.effect_context import EffectContext, Places
-from microbot_ros.model.evidence import AnyEffect
 from microbot_ros.model.model import Model
 from microbot_ros.model.physics.vectors import as_vectors
 

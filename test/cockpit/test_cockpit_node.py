@@ -15,9 +15,10 @@ pytest.importorskip('uvicorn', reason='the extra `cockpit` is not installed')
 
 from cockpit.conftest import Page
 from geometry_msgs.msg import Vector3Stamped
-from in_process import Amplifier, Ros
+from in_process import Ros
 from websockets.sync.client import connect
 
+from bench._emulator import Served
 from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.session.mcap.recording import open_recording
 
@@ -31,10 +32,10 @@ class Rig:
     """Nodes in this process with an emulated amplifier and microscope, served by a thread."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.emulator = folder, Amplifier(folder)
+        self.folder, self.emulator = folder, Served(folder)
         self.graph = Ros(folder, {
             'virtual_rig': {'amplifier_log': str(self.emulator.log), 'frame_rate_hz': 10.0},
-            'tracker': {'pixel_size_um': 0.45}, 'coil_driver': {'port': str(self.emulator.port)},
+            'tracker': {'pixel_size_um': 0.45}, 'coil_driver': {'port': self.emulator.url},
             'recorder': {'recording': False, 'folder': str(folder / 'recording')},
             'cockpit': {'port': 0, 'token': False, 'discoveries': str(folder / 'discoveries')}})
         for name in NODES:

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import yaml
+from rig_file import write_rig
 
 from microbot_ros.cockpit.address import WORDS
 from microbot_ros.nodes.client.graph import Graph
@@ -62,9 +62,8 @@ class VirtualRig:
             'cockpit': {'port': 0, 'token': False,
                         'discoveries': str(self.folder / 'discoveries'),
                         'recordings': str(self.folder)}}
-        parameters.write_text(yaml.safe_dump({
-            name: {'ros__parameters': values | self._more.get(name, {})}
-            for name, values in nodes.items()}))
+        write_rig(parameters, {
+            name: values | self._more.get(name, {}) for name, values in nodes.items()})
         self.graph.start('amplifier', [
             sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
             str(port), '--log', str(self.log), '--full-scale-A', '2'],

@@ -71,6 +71,7 @@ def test_more_divergence_leaves_more_weight_to_who_is_right(weights, gains):
         weights, 2 * gains) + 1e-12 <= 1 + 1e-9
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize('name', RULES)
 def test_a_rule_names_what_shows_plainly_and_soon(name):
     rig, _ = hidden_world(1, ('coil_gain_mismatch',), 60.0)

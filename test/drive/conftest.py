@@ -1,71 +1,13 @@
-"""Emulated amplifiers as processes of their own, and a way to wait for what they log."""
-
-import json
-import subprocess
-import sys
-import time
-from collections.abc import Callable
-from pathlib import Path
+"""Emulated amplifiers for one test, scripted ports, and drivers of them."""
 
 import pytest
 
-from bench._served import FULL_SCALE_A, LIMITS, Served
+from bench._emulator import FULL_SCALE_A, LIMITS, EmulatorProcess, Served
 from microbot_ros.drive.amplifier import Amplifier, amplifier_class
-from microbot_ros.drive.amplifiers.scpi.driver import ScpiAmplifier
 from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive.emulator.virtual import VirtualClock
 from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.polled import PolledAmplifier
-
-DEADLINE_S = 20.0
-
-
-class Emulated:
-    """One emulator: its port, its log, its faults."""
-
-    def __init__(self, protocol: str, folder: Path, options: tuple[str, ...]) -> None:
-        self.link, self.log = folder / protocol, folder / f'{protocol}.jsonl'
-        self.process = subprocess.Popen(
-            [sys.executable, '-m', 'microbot_ros.cli', 'emulate', protocol, '--link', self.link,
-             '--log', self.log, '--full-scale-A', str(FULL_SCALE_A), '--fault', '-', *options],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        *_, places = self.process.stdout.readline().partition(' at ')
-        self.url = ','.join(places.split())
-
-    def fault(self, text: str) -> None:
-        """Let a fault happen from now on."""
-        self.process.stdin.write(text + '\n')
-        self.process.stdin.flush()
-
-    def until(self, condition: Callable[[], object]) -> object:
-        """The first true value of the condition; fails the test after a generous deadline."""
-        deadline = time.monotonic() + DEADLINE_S
-        while time.monotonic() < deadline:
-            if value := condition():
-                return value
-            time.sleep(0.002)
-        raise AssertionError('the awaited condition never came true')
-
-    def entries(self) -> list[dict]:
-        """What was logged so far."""
-        return [json.loads(line) for line in self.log.read_text().splitlines(keepends=True)
-                if line.endswith('\n')]
-
-    def currents(self) -> list[float]:
-        return self.entries()[-1]['currents_A']
-
-    def eventually_at(self, currents: object, cause: str | None = None) -> dict:
-        """The last entry, once it has these currents (and this cause)."""
-        return self.until(lambda: (last := self.entries()[-1]) and (
-            last['currents_A'] == pytest.approx(list(currents), abs=0.011 * FULL_SCALE_A)
-            and cause in (None, last['cause']) and last))
-
-    def end(self) -> int:
-        if self.process.poll() is None:
-            self.process.terminate()
-        code = self.process.wait(DEADLINE_S)
-        self.process.stdin.close()
-        self.process.stdout.close()
-        return code
 
 
 @pytest.fixture
@@ -73,8 +15,8 @@ def emulate(tmp_path):
     """A function that starts the emulator of a protocol with options; all end with the test."""
     started = []
 
-    def start(protocol: str, *options: str) -> Emulated:
-        started.append(Emulated(protocol, tmp_path, options))
+    def start(protocol: str, *options: str) -> EmulatorProcess:
+        started.append(EmulatorProcess(tmp_path, protocol, *options))
         return started[-1]
 
     yield start
@@ -95,6 +37,7 @@ class Script:
 
     def __init__(self, exchanges: list[tuple[str, bytes, bytes]]) -> None:
         self.exchanges = exchanges
+        self.clock = VirtualClock()
         self.opened: list[tuple[str, int, bool]] = []
         self._answers: dict[str, bytes] = {}
 
@@ -113,7 +56,9 @@ class Script:
             self.script._answers[self.url] = answer
 
         def receive(self, timeout_s: float = 0.0) -> bytes:
-            return self.script._answers.pop(self.url, b'')
+            if not (answer := self.script._answers.pop(self.url, b'')):
+                self.script.clock.sleep(timeout_s)
+            return answer
 
         def discard_output(self) -> None:
             pass
@@ -133,10 +78,7 @@ def scripted(monkeypatch):
     def install(exchanges: list[tuple[str, bytes, bytes]]) -> Script:
         scripts.append(Script(list(exchanges)))
         monkeypatch.setattr(PolledAmplifier, 'open_port', scripts[-1].port)
-        # What is due again is no part of a script, though a busy machine takes long over it.
-        monkeypatch.setattr('microbot_ros.drive.polled._INSPECT_S', 60.0)
-        for kind in (PolledAmplifier, ScpiAmplifier):
-            monkeypatch.setattr(kind, 'period_s', 0.3)
+        monkeypatch.setattr(PolledAmplifier, 'clock', scripts[-1].clock)
         return scripts[-1]
 
     yield install
@@ -156,7 +98,7 @@ def watchdog_s():
 
 @pytest.fixture
 def device(protocol, tmp_path, watchdog_s):
-    device = Served(protocol, tmp_path, watchdog_s)
+    device = Served(tmp_path, protocol, watchdog_s=watchdog_s)
     yield device
     device.end()
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench._served import FULL_SCALE_A, MEASURED, Served
+from bench._emulator import FULL_SCALE_A, MEASURED, Served
 from microbot_ros.drive import adapter as adapters
 from microbot_ros.drive.adapter import BY_ID, Adapter, adapter_at
 from microbot_ros.drive.amplifier import amplifier_class
@@ -171,7 +171,7 @@ def test_an_adapter_that_is_pulled_out_while_it_is_looked_for_is_none(monkeypatc
 @pytest.mark.rig
 @pytest.mark.parametrize('protocol', ['modbus', 'sabertooth'])
 def test_another_adapter_at_a_terminal_hears_nothing(protocol, tmp_path):
-    served = Served(protocol, tmp_path, None)
+    served = Served(tmp_path, protocol, watchdog_s=None)
     try:
         amplifier = amplifier_class(protocol)(served.url, FULL_SCALE_A)
         amplifier.adapter_at = lambda _: OWN

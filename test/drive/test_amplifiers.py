@@ -6,7 +6,7 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
-from bench._served import MEASURED
+from bench._emulator import MEASURED
 from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import (
     READ_BACK_S,

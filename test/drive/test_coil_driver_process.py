@@ -13,6 +13,7 @@ import time
 
 import pytest
 
+from bench._emulator import FULL_SCALE_A, until
 from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.amplifiers.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.drive.coil_driver import CoilDriver
@@ -21,7 +22,6 @@ from microbot_ros.drive.gate import Limits, Reason
 
 pytestmark = pytest.mark.rig
 
-FULL_SCALE_A = 2.0
 LIMITS = Limits(
     current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, command_timeout_s=0.8,
     deviation_A=0.1, settling_s=0.5, feedback_timeout_s=0.8, rated_current_A=1.5, thermal_s=60.0,
@@ -59,10 +59,10 @@ def driver(board):
 
 
 def drive(driver, board):
-    board.until(lambda: driver.arm() is None)
+    until(lambda: driver.arm() is None)
     driver.command([0.0] * 4)
     assert driver.command(DRIVING)
-    board.eventually_at(DRIVING)
+    board.eventually(DRIVING)
 
 
 def test_the_thread_goes_first_where_the_system_grants_it(driver, board, real_time):
@@ -84,8 +84,8 @@ def test_an_unplugged_line_comes_back_at_zero_and_disarmed(driver, board):
     board.fault('unplug+0.3')
     assert command_until_fault(driver).reason is Reason.LINE
     assert 'connected' in driver.arm()
-    board.eventually_at([0] * 4, 'watchdog')
-    board.until(lambda: driver.connected)
+    board.eventually([0] * 4, 'watchdog')
+    until(lambda: driver.connected)
     assert not driver.gate.armed
     assert not driver.command(DRIVING)
     assert driver.gate.fault.reason is Reason.LINE
@@ -103,16 +103,16 @@ def test_a_host_that_dies_or_hangs_ends_in_zero(emulate, number, protocol, optio
     limits = str(tuple(vars(LIMITS).values()))
     with subprocess.Popen([sys.executable, '-c', HOST, board.url, limits, protocol]) as host:
         try:
-            board.eventually_at(DRIVING)
+            board.eventually(DRIVING)
             host.send_signal(number)
             ended_s = time.monotonic()
-            zeroed = board.eventually_at([0] * 4, cause)
+            zeroed = board.eventually([0] * 4, cause)
             assert zeroed['t_monotonic_s'] - ended_s < 1.0  # how long it takes is benched
             threading.Event().wait(0.3)
-            assert board.currents() == pytest.approx([0] * 4)
+            assert board.currents == pytest.approx([0] * 4)
         finally:
             host.kill()
-    board.until(lambda: not sentinels(board))
+    until(lambda: not sentinels(board))
 
 
 def sentinels(board):
@@ -138,7 +138,7 @@ def test_without_its_sentinel_an_unwatched_device_is_not_driven(emulate):
         drive(driver, board)
         driver._last_resort._process.kill()
         assert command_until_fault(driver).detail.startswith('the process that watches over')
-        board.eventually_at([0] * 4)
+        board.eventually([0] * 4)
         drive(driver, board)  # with another one
     finally:
         assert driver.stop() is Zero.CONFIRMED
@@ -156,7 +156,7 @@ def test_the_thread_alone_writes(driver, board, monkeypatch):
     monkeypatch.setattr(driver.amplifier, 'write', watched)
     drive(driver, board)
     driver.disarm()
-    board.eventually_at([0] * 4)
+    board.eventually([0] * 4)
     assert writers == {'coil driver'}
 
 
@@ -165,10 +165,10 @@ def test_firmware_without_a_watchdog_keeps_its_last_command(emulate):
     amplifier = SerialTransferAmplifier(board.url, FULL_SCALE_A)
     amplifier.connect()
     amplifier.write(DRIVING)
-    board.eventually_at(DRIVING)
+    board.eventually(DRIVING)
     amplifier._release()  # as a host that dies
     threading.Event().wait(0.4)
-    assert board.currents() == pytest.approx(DRIVING)
+    assert board.currents == pytest.approx(DRIVING)
 
 
 def test_it_leaves_no_thread_and_no_port(driver, board):

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from bench._served import until
+from bench._emulator import until
 from microbot_ros.drive import coil_driver
 from microbot_ros.drive.amplifier import Zero
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench._served import FULL_SCALE_A, LIMITS, Served, until
+from bench._emulator import FULL_SCALE_A, LIMITS, Served, until
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Reason
@@ -90,7 +90,7 @@ def test_an_axis_along_what_turned_takes_anything_across():
 @pytest.fixture(params=['driver', 'board'])
 def rig(tmp_path, request):
     """A driver of six coils, and its device; the driver sends samples, or the board makes them."""
-    device = Served('serial_transfer', tmp_path, 0.1, 6)
+    device = Served(tmp_path, channels=6)
     amplifier = amplifier_class('serial_transfer')(device.url, FULL_SCALE_A, 6, baud=1_000_000)
     amplifier.swings = request.param == 'board'
     told = []

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench._served import FULL_SCALE_A, LIMITS, Served
+from bench._emulator import FULL_SCALE_A, LIMITS, Served
 from microbot_ros.cli.rig import doctor
 from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import Watchdog, Zero
@@ -328,7 +328,7 @@ def test_the_zero_of_closing_goes_out_at_once_whatever_waits_for_the_line(device
 
 @pytest.mark.rig
 def test_it_is_watched_by_a_process_as_nothing_says_that_its_timeout_is_armed(tmp_path):
-    served = Served('sabertooth', tmp_path, None)
+    served = Served(tmp_path, 'sabertooth', watchdog_s=None)
     driver = CoilDriver(SabertoothAmplifier(served.url, FULL_SCALE_A), LIMITS, lambda _: None,
                         self_check=False, accept_no_feedback=True)
     driver.start()

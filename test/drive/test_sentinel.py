@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from bench._served import until
+from bench._emulator import until
 from microbot_ros.drive import last_resort, sentinel
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.amplifiers.roboclaw import driver as roboclaw

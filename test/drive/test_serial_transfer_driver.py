@@ -153,9 +153,9 @@ def test_it_works_over_a_network_port(remote, emulated):
     amplifier = SerialTransferAmplifier(remote, FULL_SCALE)
     amplifier.connect()
     acknowledged(amplifier, amplifier.write([1.0, -0.5, 0.25, 2.0]))
-    emulated.eventually_at([1.0, -0.5, 0.25, 2.0])
+    emulated.eventually([1.0, -0.5, 0.25, 2.0])
     assert amplifier.close() is Zero.CONFIRMED
-    assert emulated.currents() == [0, 0, 0, 0]
+    assert emulated.currents == [0, 0, 0, 0]
 
 
 @pytest.mark.rig

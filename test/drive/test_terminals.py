@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from bench._served import FULL_SCALE_A, MEASURED, until
+from bench._emulator import FULL_SCALE_A, MEASURED, until
 from microbot_ros.drive import sentinel
 from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.errors import NoAnswerError, PortBusyError, PortLostError

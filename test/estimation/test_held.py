@@ -51,7 +51,10 @@ def held(told):
     return [t for t, _, said in told if any('held by a wall' in one for one in said)]
 
 
-@pytest.mark.parametrize('seed', range(3))
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (1, 2))]
+
+
+@pytest.mark.parametrize('seed', SEEDS)
 def test_what_a_wall_holds_has_no_speed_and_says_why(seed):
     told = swim(20.0, pressing, wall=1e-6, seed=seed)
     assert 0 < held(told)[0] < 12
@@ -59,7 +62,7 @@ def test_what_a_wall_holds_has_no_speed_and_says_why(seed):
     assert 'particle 7: held by a wall or the edge of the picture' in told[-1][2][0]
 
 
-@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('seed', SEEDS)
 def test_it_is_known_again_once_it_swims_freely(seed):
     told = swim(34.0, lambda t: pressing(t) if t < 12 else np.pi - PHI + pressing(t), wall=1e-6,
                 seed=seed)
@@ -69,7 +72,7 @@ def test_it_is_known_again_once_it_swims_freely(seed):
 
 @pytest.mark.parametrize('flow', [(0.0, 0.0), (1e-6, -1e-6)])
 @pytest.mark.parametrize('direction', [every_way, around, pressing])
-@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('seed', SEEDS)
 def test_who_swims_freely_is_never_held(direction, flow, seed):
     told = swim(40.0, direction, flow=flow, seed=seed)
     assert held(told) == []

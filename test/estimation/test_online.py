@@ -145,7 +145,7 @@ def test_an_extended_model_filters_what_the_plain_one_cannot(tmp_path, hidden, e
     nobody = ParticleParameters(np.empty(0, int), np.empty(0), np.empty(0))
     write_model(tmp_path / 'model.yaml', Model(FIELD, effects=(effect,)), nobody)
     diffusion = []
-    for seed in range(5, 10):
+    for seed in range(5, 8):
         session, gain = experiment(seed, hidden=hidden)
         extended = Estimator(CONDITIONS)
         extended.load(tmp_path / 'model.yaml')

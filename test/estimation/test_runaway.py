@@ -113,7 +113,8 @@ def test_estimates_are_with_the_readings_again_within_a_second(script, rate, see
                 assert refused[name] == 1 or t - since[name] < WITHIN
 
 
-@pytest.mark.parametrize('seed', range(25))
+@pytest.mark.parametrize('seed', [
+    *range(5), *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(5, 25))])
 def test_one_particle_that_runs_wild_leaves_the_other_known(seed):
     """But for where the tracker takes them for each other; they share the noise levels.
 

@@ -1,4 +1,4 @@
-"""Nodes, an emulated amplifier and commands in the process of the tests.
+"""Nodes and commands in the process of the tests.
 
 All nodes of a test process share one rclpy context in one domain. The test spins their executor
 itself, until what it waits for has come; deadlines are for tests that fail, and no assertion.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import gc
 import io
-import json
 import os
 import sys
 import threading
@@ -17,24 +16,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import rclpy
 import rclpy.utilities
-import yaml
 from command_line import microbot
 from rclpy.experimental.events_executor import EventsExecutor
+from rig_file import write_rig
 
-from microbot_ros.drive.emulator.coils import Coils
-from microbot_ros.drive.emulator.faults import Faults, parse
-from microbot_ros.drive.emulator.line import Line
-from microbot_ros.drive.emulator.process import make_device
-from microbot_ros.drive.emulator.server import Server
 from microbot_ros.nodes.base.lifecycle import RigNode
 from microbot_ros.nodes.base.participant import join
 from microbot_ros.nodes.process import SWITCH_S, make
 
-FULL_SCALE_A = 2.0
 FAILSAFE_S = 60.0
 """After this a test gives up. A machine that is overloaded needs a tenth of it."""
 PATIENT: dict[str, dict[str, Any]] = {
@@ -42,60 +35,6 @@ PATIENT: dict[str, dict[str, Any]] = {
                     'settling_ms': 2000.0, 'feedback_timeout_ms': 5000.0},
     'controller': {'deadline_ms': 1000.0, 'pose_timeout_ms': 2000.0}}
 """Times that a process exceeds that is held up for half a second, at their largest."""
-
-
-class Amplifier:
-    """An emulated serial_transfer board on a pseudo-terminal, served by a thread.
-
-    `channels` and `watchdog_s` (None for a board without a watchdog) are the board's. The log is
-    the file that an emulator's process writes.
-    """
-
-    def __init__(self, folder: Path, *faults: str, channels: int = 4,
-                 watchdog_s: float | None = 0.1) -> None:
-        self.port, self.log = folder / 'amplifier', folder / 'amplifier.jsonl'
-        self._entries: list[dict[str, Any]] = []
-        self._file = self.log.open('a', encoding='utf-8')
-        self._coils = Coils(FULL_SCALE_A, watchdog_s, cast(Any, self), channels=channels)
-        self._line = Line(self.port)
-        self._faults = Faults([parse(text, time.monotonic()) for text in faults])
-        server = Server(make_device('serial_transfer', self._coils), [self._line], self._faults,
-                        None)
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=server.run, args=[self._ending.is_set])
-        self._thread.start()
-
-    def write(self, line: str) -> None:
-        """Keep a line of the log."""
-        self._file.write(line)
-        self._entries.append(json.loads(line))
-
-    def flush(self) -> None:
-        """Let others read the log."""
-        self._file.flush()
-
-    def entries(self) -> list[dict[str, Any]]:
-        """Return what the log holds so far."""
-        return list(self._entries)
-
-    @property
-    def currents(self) -> list[float]:
-        """What flows now [A]."""
-        return list(self._entries[-1]['currents_A'])
-
-    @property
-    def zero(self) -> bool:
-        """Whether nothing flows."""
-        return not any(self.currents)
-
-    def end(self) -> None:
-        """Switch off, as pulling the plug does."""
-        if self._thread.is_alive():
-            self._ending.set()
-            self._thread.join()
-            self._coils.zero('power_off')
-            self._line.unplug()
-            self._file.close()
 
 
 @cache
@@ -130,10 +69,8 @@ class Ros:
         _join()
         self._file = folder / 'parameters.yaml'
         names = {*parameters, *PATIENT}
-        self._file.write_text(yaml.safe_dump(
-            {f'/**/{name}': {'ros__parameters':
-                             PATIENT.get(name, {}) | parameters.get(name, {})}
-             for name in names}))
+        write_rig(self._file, {
+            f'/**/{name}': PATIENT.get(name, {}) | parameters.get(name, {}) for name in names})
         self.probe = rclpy.create_node('probe')
         self._executor = EventsExecutor()
         self._executor.add_node(self.probe)

@@ -3,10 +3,6 @@
 
 from __future__ import annotations
 
-import json
-import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,43 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from in_process import FULL_SCALE_A, Amplifier, Ros, graphs
+from in_process import Ros, graphs
 
+from bench._emulator import Emulated, EmulatorProcess, Served
 from microbot_ros.common.real_time import set_realtime_priority
-
-
-class EmulatorProcess:
-    """The emulated amplifier in its own process."""
-
-    def __init__(self, folder: Path, *options: str) -> None:
-        self.port = folder / 'amplifier'
-        self.log = folder / 'amplifier.jsonl'
-        self.process = subprocess.Popen(
-            [sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
-             str(self.port), '--log', str(self.log), '--full-scale-A', str(FULL_SCALE_A),
-             *options], stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout is not None
-        assert 'serving' in self.process.stdout.readline()
-
-    def entries(self) -> list[dict[str, Any]]:
-        """What the log holds so far."""
-        return [json.loads(line) for line in self.log.read_text().splitlines()]
-
-    @property
-    def currents(self) -> list[float]:
-        """What flows now."""
-        return list(json.loads(self.log.read_text().splitlines()[-1])['currents_A'])
-
-    @property
-    def zero(self) -> bool:
-        """Whether nothing flows."""
-        return not any(self.currents)
-
-    def end(self) -> None:
-        """Switch off, as pulling the plug does."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGTERM)
-        self.process.communicate(timeout=10)
 
 
 class Machine:
@@ -100,17 +63,16 @@ def emulator_options() -> dict[str, Any]:
 
 @pytest.fixture
 def emulator(request: pytest.FixtureRequest, tmp_path: Path,
-             emulator_options: dict[str, Any]) -> Iterator[Amplifier | EmulatorProcess]:
+             emulator_options: dict[str, Any]) -> Iterator[Emulated]:
     """An emulated amplifier that is switched off at the end; for the rig's tests, which measure
     times, in a process of its own.
     """
     apart = any(request.node.get_closest_marker(suite) for suite in ('rig', 'soak'))
     options = [word for name, value in emulator_options.items()
                for word in (f'--{name}', str(value))]
-    made = (EmulatorProcess(tmp_path, *options) if apart
-            else Amplifier(tmp_path, **emulator_options))
-    yield made
-    made.end()
+    with (EmulatorProcess(tmp_path, 'serial_transfer', *options) if apart
+          else Served(tmp_path, **emulator_options)) as made:
+        yield made
 
 
 @pytest.fixture

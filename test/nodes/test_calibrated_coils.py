@@ -11,6 +11,7 @@ import pytest
 import yaml
 from geometry_msgs.msg import Vector3Stamped
 from in_process import command
+from rig_file import write_rig
 from std_srvs.srv import SetBool
 
 from microbot_ros.magnetics import CoilSettings
@@ -61,12 +62,10 @@ def _measure(file: Path, content: dict[str, Any]) -> None:
 
 def _rig(folder: Path, emulator: Any, coils: Path | None) -> Path:
     """A rig's file, with nothing but the coil driver."""
-    file = folder / 'rig.yaml'
-    values = {'port': str(emulator.port), 'full_scale_A': 2.0}
+    values = {'port': emulator.url, 'full_scale_A': 2.0}
     if coils:
         values['coils_file'] = str(coils)
-    file.write_text(yaml.safe_dump({'coil_driver': {'ros__parameters': values}}))
-    return file
+    return write_rig(folder / 'rig.yaml', {'coil_driver': values})
 
 
 @pytest.mark.parametrize('default', [True, False])

@@ -24,7 +24,7 @@ from microbot_ros.nodes.coil_driver import LIMITS
 
 
 def _start(emulator: Any, ros: Any, **parameters: Any) -> Any:
-    graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0, **parameters}})
+    graph = ros({'coil_driver': {'port': emulator.url, 'full_scale_A': 2.0, **parameters}})
     assert graph.add('coil_driver').active
     graph.commands = graph.probe.create_publisher(Vector3Stamped, 'field/command', 10)
     graph.until(lambda: graph.commands.get_subscription_count() == 1)
@@ -175,7 +175,7 @@ def test_the_line_may_go_and_come_back_but_stays_disarmed(
 def test_a_coil_that_is_reversed_cannot_be_armed_and_is_named(
         emulator: Any, ros: Any, tmp_path: Any) -> None:
     emulator.end()
-    reversed_coil = type(emulator)(tmp_path, 'reversed=2')
+    reversed_coil = type(emulator)(tmp_path, faults=['reversed=2'])
     try:
         graph = _start(reversed_coil, ros)
         health = graph.nodes['coil_driver'].health
@@ -332,7 +332,7 @@ def test_disarming_answers_what_is_known_of_the_currents(emulator: Any, ros: Any
     graph.until(lambda: not graph.nodes['coil_driver']._driver.connected)
     answer = _arm(graph, on=False)
     assert not answer.success
-    assert answer.message == (f'not reachable: {emulator.port}; coils there may carry current, '
+    assert answer.message == (f'not reachable: {emulator.url}; coils there may carry current, '
                               'switch the amplifier off by hand')
     assert health()[0] == b'\x02'
     assert answer.message in health()[1]

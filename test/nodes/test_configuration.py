@@ -91,9 +91,11 @@ def problem_of(file: Path) -> str:
 @pytest.mark.parametrize('node', NODES)
 def test_no_value_of_any_parameter_is_shown_at_length(tmp_path: Path, node: str) -> None:
     file = tmp_path / 'rig.yaml'
+    written = [yaml.safe_dump([value], default_flow_style=True, width=math.inf)[1:-2]
+               for value in _WRONG]
     for name in node_class(node).known_parameters():
-        for value in _WRONG:
-            file.write_text(yaml.safe_dump({node: {'ros__parameters': {name: value}}}))
+        for value, text in zip(_WRONG, written, strict=True):
+            file.write_text(f'{node}: {{ros__parameters: {{{name}: {text}}}}}\n')
             said = problem_of(file)
             assert 'x' * 81 not in said
             assert len(said) < len(str(file)) + 600

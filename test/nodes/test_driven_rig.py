@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import yaml
 from nodes.foreign_rig import ForeignRig
+from rig_file import write_rig
 
 from microbot_ros.discovery.discover import discover
 from microbot_ros.nodes.client.graph import Graph
@@ -30,13 +30,11 @@ class Stand:
     def __init__(self, folder: Path, emulator: object, effect: str,
                  parameters: dict[str, float]) -> None:
         self.out = folder / 'driven'
-        file = folder / 'graph.yaml'
-        file.write_text(yaml.safe_dump({name: {'ros__parameters': values} for name, values in {
+        file = write_rig(folder / 'graph.yaml', {
             'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
             'controller': {'deadline_ms': 100.0},
-            'coil_driver': {'port': str(emulator.port), 'command_timeout_ms': 400.0,
-                            'max_command_age_ms': 400.0},
-        }.items()}))
+            'coil_driver': {'port': emulator.url, 'command_timeout_ms': 400.0,
+                            'max_command_age_ms': 400.0}})
         self._graph = Graph(lambda *_: None)
         for node in ('model', 'controller', 'coil_driver'):
             self._graph.start_node(node, file)

@@ -35,7 +35,7 @@ class Stand:
         self.emulator = emulator
         self.graph = ros({
             'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
-            'coil_driver': {'port': str(emulator.port), 'idle_disarm_s': 60.0}})
+            'coil_driver': {'port': emulator.url, 'idle_disarm_s': 60.0}})
         for name in ('model', 'controller', 'coil_driver'):
             assert self.graph.add(name).active
         self.rig = ForeignRig(self.graph.probe, 'coil_gain_mismatch', {'gain_ratio': 1.25})

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-import yaml
 from geometry_msgs.msg import Vector3Stamped
+from rig_file import write_rig
 
 from microbot_ros.common.ending import PARENT
 from microbot_ros.common.errors import InputError, RigError
@@ -49,15 +49,13 @@ class Bench:
         self._commands = self.client.node.create_publisher(Vector3Stamped, 'field/command', 1)
         # Long enough that no zero in time is one of a stale command.
         self.parameters = {
-            'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0,
+            'coil_driver': {'port': emulator.url, 'full_scale_A': 2.0,
                             'command_timeout_ms': 2000.0, 'max_command_age_ms': 2000.0},
             'recorder': {'folder': str(folder / 'recording')}}
 
     def command_line(self, *nodes: str) -> list[str]:
         """What runs nodes."""
-        file = self.folder / 'parameters.yaml'
-        file.write_text(yaml.safe_dump(
-            {node: {'ros__parameters': values} for node, values in self.parameters.items()}))
+        file = write_rig(self.folder / 'parameters.yaml', self.parameters)
         return [sys.executable, '-m', 'microbot_ros.nodes', *nodes, '--ros-args',
                 '--params-file', str(file)]
 

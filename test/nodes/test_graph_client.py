@@ -100,7 +100,7 @@ def test_what_is_no_name_is_two() -> None:
 
 def test_each_command_speaks_to_the_rig_of_its_namespace(
         ros: Any, tmp_path: Path, emulator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    graph = ros({'recorder': {'recording': False}, 'coil_driver': {'port': str(emulator.port)}})
+    graph = ros({'recorder': {'recording': False}, 'coil_driver': {'port': emulator.url}})
     nodes = ['controller', 'recorder', 'coil_driver']
     for name in nodes:
         assert graph.add(name, '/rig_2').active
@@ -176,7 +176,7 @@ def test_a_recorder_whose_answer_was_lost_has_done_it(
 
 
 def _driver_and_commander(ros: Any, emulator: Any) -> tuple[Any, Any]:
-    graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
+    graph = ros({'coil_driver': {'port': emulator.url, 'full_scale_A': 2.0}})
     graph.probe.create_publisher(Vector3Stamped, 'field/command', 1)
     driver = graph.add('coil_driver')
     graph.until(lambda: len(driver._commanders()[0]) == 1)

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import yaml
+from rig_file import write_rig
 
 from microbot_ros.common.errors import InputError, RigError
 from microbot_ros.nodes.client.graph_client import GraphClient
@@ -20,13 +20,6 @@ from microbot_ros.nodes.configuration import read_rig, refuse_elsewhere
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 CONFIG = Path(__file__).parents[2] / 'config' / 'rig.yaml'
-
-
-def write(folder: Path, content: dict[str, dict[str, Any]]) -> Path:
-    file = folder / 'rig.yaml'
-    file.write_text(yaml.safe_dump(
-        {key: {'ros__parameters': values} for key, values in content.items()}))
-    return file
 
 
 @pytest.mark.parametrize('namespace', ['/', '/rig_2', '/lab/rig_2', ''])
@@ -37,7 +30,7 @@ def test_the_rig_of_the_example_is_one_in_any_namespace(namespace: str) -> None:
 
 
 def test_sections_are_those_that_ros_gives_to_a_node(tmp_path: Path) -> None:
-    file = write(tmp_path, {
+    file = write_rig(tmp_path / 'rig.yaml', {
         'controller': {'max_field_mT': 1.0}, '/rig_2/controller': {'max_field_mT': 2.0},
         '/*/controller': {'delay_ms': 3.0}, '/lab/**/controller': {'max_field_mT': 4.0}})
     assert read_rig(file, '/') == {'controller': {'max_field_mT': 1.0}}
@@ -48,7 +41,7 @@ def test_sections_are_those_that_ros_gives_to_a_node(tmp_path: Path) -> None:
 
 def test_a_file_that_a_namespace_would_ignore_is_refused(tmp_path: Path) -> None:
     """The limit of a field would stay at its default, without a word."""
-    file = write(tmp_path, {'coil_driver': {'current_limit_A': 0.1}})
+    file = write_rig(tmp_path / 'rig.yaml', {'coil_driver': {'current_limit_A': 0.1}})
     for refusing in (lambda: read_rig(file, '/rig_2'),
                      lambda: refuse_elsewhere(file, 'coil_driver', '/rig_2')):
         with pytest.raises(InputError, match=r"rig.yaml:1: 'coil_driver' is no node of the "
@@ -73,7 +66,7 @@ def test_two_rigs_are_driven_at_once(tmp_path: Path, emulator_in: Any) -> None:
     rigs = ('rig_1', 'rig_2')
     with ExitStack() as leave:
         emulators = {rig: emulator_in(tmp_path / rig) for rig in rigs}
-        file = write(tmp_path, {
+        file = write_rig(tmp_path / 'rig.yaml', {
             '/**/camera': {'source': str(film), 'frame_rate_hz': 20.0, 'loop': True},
             '/**/tracker': {'pixel_size_um': 0.45}, '/**/model': {},
             '/**/controller': {'controller': 'open_loop', 'open_loop.durations_s': [3600.0],
@@ -82,7 +75,7 @@ def test_two_rigs_are_driven_at_once(tmp_path: Path, emulator_in: Any) -> None:
                                 'max_command_age_ms': 500.0},
             **{f'/{rig}/controller': {'open_loop.field_mT': field}
                for rig, field in zip(rigs, (2.0, 4.0), strict=True)},
-            **{f'/{rig}/coil_driver': {'port': str(emulators[rig].port)} for rig in rigs}})
+            **{f'/{rig}/coil_driver': {'port': emulators[rig].url} for rig in rigs}})
         for rig in rigs:
             process = subprocess.Popen(
                 [sys.executable, '-m', 'microbot_ros.cli', 'run', '--config', str(file),

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 import rclpy
 import rclpy.executors
-import yaml
 from geometry_msgs.msg import Vector3Stamped
 from in_process import PATIENT, command, own_context
+from rig_file import write_rig
 from std_srvs.srv import SetBool
 
 from microbot_ros.nodes import process
@@ -36,10 +36,8 @@ def _ordinary(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def _arguments(folder: Path, nodes: dict[str, dict[str, Any]]) -> list[str]:
-    file = folder / 'nodes.yaml'
-    file.write_text(yaml.safe_dump(
-        {name: {'ros__parameters': PATIENT.get(name, {}) | values}
-         for name, values in nodes.items()}))
+    file = write_rig(folder / 'nodes.yaml', {
+        name: PATIENT.get(name, {}) | values for name, values in nodes.items()})
     return ['--ros-args', '--params-file', str(file)]
 
 
@@ -63,7 +61,7 @@ def _once_settled(monkeypatch: pytest.MonkeyPatch, do: Callable[[], None]) -> th
 def test_a_driver_is_ended_by_a_signal_at_zero(
         tmp_path: Path, emulator: Any, monkeypatch: pytest.MonkeyPatch,
         capfd: pytest.CaptureFixture[str]) -> None:
-    arguments = _arguments(tmp_path, {'coil_driver': {'port': str(emulator.port)}})
+    arguments = _arguments(tmp_path, {'coil_driver': {'port': emulator.url}})
     flowed: list[bool] = []
 
     def drive() -> None:

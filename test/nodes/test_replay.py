@@ -271,7 +271,7 @@ def playing(graph: Any, monkeypatch: pytest.MonkeyPatch, *words: object,
 
 def test_beside_a_live_coil_driver_a_replay_is_refused_and_drives_nothing(
         ros: Any, emulator: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    graph = ros({'coil_driver': {'port': str(emulator.port)}})
+    graph = ros({'coil_driver': {'port': emulator.url}})
     driver = graph.add('coil_driver')
     fields = graph.hear(Vector3Stamped, 'field/command')
     status, errors = playing(
@@ -305,7 +305,7 @@ def test_a_live_controller_gets_no_goals_of_the_past_one_that_follows_the_clock_
 def test_a_replay_ends_when_a_rig_comes_alive(ros: Any, emulator: Any, tmp_path: Path) -> None:
     graph = ros({'player': {'session': str(past(tmp_path)), 'topics': ['field/command'],
                             'loop': True},
-                 'coil_driver': {'port': str(emulator.port)}})
+                 'coil_driver': {'port': emulator.url}})
     fields = graph.hear(Vector3Stamped, 'field/command')
     player = graph.add('player')
     graph.until(lambda: fields)

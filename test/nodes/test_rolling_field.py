@@ -34,7 +34,7 @@ def graph(emulator: Any, ros: Any, tmp_path: Path) -> Any:
     """A coil driver for it, armed, and who commands it."""
     coils = tmp_path / 'coils.yaml'
     coils.write_text(yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
-    made = ros({'coil_driver': {'port': str(emulator.port), 'coils_file': str(coils)}})
+    made = ros({'coil_driver': {'port': emulator.url, 'coils_file': str(coils)}})
     made.due = 0.0
     assert made.add('coil_driver').active
     made.commands = made.probe.create_publisher(Vector3Stamped, 'field/command', 10)
@@ -108,7 +108,7 @@ def test_a_controller_answers_in_three_axes(emulator: Any, ros: Any, tmp_path: P
     """By `manual`: a field that stands upright, then one whose axis is tilted (γ = 30°)."""
     coils = tmp_path / 'coils.yaml'
     coils.write_text(yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
-    rig = ros({'coil_driver': {'port': str(emulator.port), 'coils_file': str(coils)},
+    rig = ros({'coil_driver': {'port': emulator.url, 'coils_file': str(coils)},
                'controller': {'manual.field_mT': 3.0, 'manual.gamma_deg': 0.0}})
     driver, controller = rig.add('coil_driver'), rig.add('controller')
     states = rig.probe.create_publisher(PointCloud2, 'model/state', 10)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
+from rig_file import write_rig
 
 from microbot_ros.cli.demo.robots import rolling
 from microbot_ros.discovery.discover import discover
@@ -50,12 +50,9 @@ def _rig(folder: Path, emulator: Any) -> Path:
     nodes['model'] |= {'radius_um': 2.3, 'viscosity_mPa_s': 1.245}
     nodes['controller'] |= {'controller': 'hold', 'deadline_ms': 100.0, 'open_loop.repeat': False,
                             'open_loop.file': str(folder / 'commands.csv')}
-    nodes['coil_driver'] |= {'port': str(emulator.port), 'full_scale_A': 2.0} | PATIENT
+    nodes['coil_driver'] |= {'port': emulator.url, 'full_scale_A': 2.0} | PATIENT
     nodes['recorder'] = {'folder': str(folder / 'recording'), 'frame_every': 0}
-    file = folder / 'rig.yaml'
-    file.write_text(yaml.safe_dump(
-        {name: {'ros__parameters': values} for name, values in nodes.items()}))
-    return file
+    return write_rig(folder / 'rig.yaml', nodes)
 
 
 # By the stamps of several processes: one that stands still for a moment is a step of its own.

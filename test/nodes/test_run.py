@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import psutil
 import pytest
-import yaml
+from rig_file import write_rig
 
 from microbot_ros.common.errors import RigError
 from microbot_ros.common.real_time import LOOP, SAFETY
@@ -52,12 +52,10 @@ class Running:
             'model': {},
             'controller': {'controller': 'open_loop', 'open_loop.durations_s': [3600.0],
                            'open_loop.directions_deg': [45.0]},
-            'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0},
+            'coil_driver': {'port': emulator.url, 'full_scale_A': 2.0},
             **more,
         }
-        config = folder / 'rig.yaml'
-        config.write_text(yaml.safe_dump(
-            {node: {'ros__parameters': values} for node, values in nodes.items()}))
+        config = write_rig(folder / 'rig.yaml', nodes)
         self.emulator = emulator
         self.said = (folder / 'said.txt')
         with self.said.open('w') as said:

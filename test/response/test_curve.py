@@ -17,25 +17,31 @@ def robots(rng, cut_in=0.0, slip=1.0, step_out=9.0, count=6, scatter=0.04, f=F):
     return (np.tile(f, count), speed.ravel(), std.ravel(), np.repeat(np.arange(count), len(f)))
 
 
-def test_step_out_is_found_with_an_interval_that_holds_it():
+# (seeds, fewest intervals of 95 % that hold the truth)
+FITS = [(range(4), 3), pytest.param(range(20), 17, marks=pytest.mark.soak)]
+
+
+@pytest.mark.parametrize(('seeds', 'fewest'), FITS)
+def test_step_out_is_found_with_an_interval_that_holds_it(seeds, fewest):
     inside = 0
-    for seed in range(20):
+    for seed in seeds:
         found = fit_curve(*robots(np.random.default_rng(seed)))
         assert found.steps_out(20.0)
         assert found.step_out.value == pytest.approx(9.0, rel=0.08)
         assert found.step_out.high - found.step_out.low < 2.0
         inside += found.step_out.low < 9.0 < found.step_out.high
-    assert inside >= 17
+    assert inside >= fewest
 
 
-def test_cut_in_is_found_with_an_interval_that_holds_it():
+@pytest.mark.parametrize(('seeds', 'fewest'), FITS)
+def test_cut_in_is_found_with_an_interval_that_holds_it(seeds, fewest):
     inside = 0
-    for seed in range(20):
+    for seed in seeds:
         found = fit_curve(*robots(np.random.default_rng(seed), cut_in=3.0, slip=0.0))
         assert not found.steps_out(20.0)
         inside += found.cut_in.low < 3.0 < found.cut_in.high
         assert found.cut_in.low > 0.5
-    assert inside >= 17
+    assert inside >= fewest
 
 
 def test_proportional_rollers_have_neither():

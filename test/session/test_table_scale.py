@@ -307,24 +307,24 @@ def recordings() -> list[Path]:
 
 
 @pytest.mark.skipif(not recordings(), reason='the shared recordings are not here')
-def test_every_shared_recording_is_imported_right_without_an_option():
+@pytest.mark.parametrize('number', [
+    pytest.param(number, marks=[pytest.mark.soak] * (number % 4 > 0)) for number in range(12)])
+def test_every_shared_recording_is_imported_right_without_an_option(number):
     """The pixel size by an independent reading of each sheet: |v| · 15 dt over the displacement
     in 15 frames, in every row of every robot."""
     assert len(recordings()) == 12
-    for path in recordings():
-        session, said = import_session(path, Answers())
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        sizes = []
-        for page in book.worksheets[1:]:
-            rows = np.array([row[1:7] for row in page.iter_rows(min_row=2, values_only=True)],
-                            float)
-            moved = np.hypot(*(rows[15:, 1:3] - rows[:-15, 1:3]).T)
-            sizes.append(rows[15:, 5] * 15 * rows[15:, 0] / np.maximum(moved, 1e-9))
-        book.close()
-        by_hand = np.median(np.concatenate(sizes))
-        assert session.conditions.pixel_size * 1e6 == pytest.approx(by_hand, rel=1e-3), path.name
-        assert any('pixels of' in sentence for sentence in said)
-        assert any('y points down' in sentence for sentence in said)
+    session, said = import_session(recordings()[number], Answers())
+    book = openpyxl.load_workbook(recordings()[number], read_only=True, data_only=True)
+    sizes = []
+    for page in book.worksheets[1:]:
+        rows = np.array([row[1:7] for row in page.iter_rows(min_row=2, values_only=True)], float)
+        moved = np.hypot(*(rows[15:, 1:3] - rows[:-15, 1:3]).T)
+        sizes.append(rows[15:, 5] * 15 * rows[15:, 0] / np.maximum(moved, 1e-9))
+    book.close()
+    by_hand = np.median(np.concatenate(sizes))
+    assert session.conditions.pixel_size * 1e6 == pytest.approx(by_hand, rel=1e-3)
+    assert any('pixels of' in sentence for sentence in said)
+    assert any('y points down' in sentence for sentence in said)
 
 
 @pytest.mark.parametrize(('rows', 'what'), [(slice(400), 'begin'), (slice(200, None), 'end')])

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from domains import own_domain
+from rig_file import write_rig
 
 from microbot_ros.common.errors import RigError
 from microbot_ros.nodes.client.graph import Graph
@@ -61,8 +61,7 @@ class SmokeRig:
                             'max_command_age_ms': 2000.0, 'settling_ms': 2000.0,
                             'feedback_timeout_ms': 5000.0, 'idle_disarm_s': 60.0},
             'recorder': {'folder': str(self.recording), 'frame_every': 5, 'title': 'smoke'}}
-        file.write_text(yaml.safe_dump(
-            {name: {'ros__parameters': values} for name, values in nodes.items()}))
+        write_rig(file, nodes)
         self.graph.start('amplifier', [
             sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
             str(port), '--log', str(self.log), '--full-scale-A', '2'], says_when_ready='serving')

@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from in_process import command
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from smoke.conftest import NODES, PHIS_RAD, SPEEDS_UM_S, SmokeRig
@@ -130,48 +131,6 @@ def test_a_recording_begins_and_ends_by_a_command(rig: SmokeRig) -> None:
         assert recording.complete
 
 
-def test_the_demo_draws_what_was_recorded(rig: SmokeRig) -> None:
-    robots = KINDS['catalytic'](rig.folder)
-    run = demo._Run(rig.goal[None], rig.began_s, ['hold', 'open_loop', 'waypoint'], [])
-    summary = demo._look_back(rig.folder, rig.folder, run, robots, rig.began_s)
-    assert summary['goals_reached'] == summary['goals'] == 1
-    assert len(summary['estimate']) == len(SPEEDS_UM_S)
-    assert summary['frames'] > 100
-    assert summary['amplifier']['crc_errors'] == 0
-    assert cv2.imread(str(rig.folder / 'demo.png')).std() > 10
-    assert cv2.VideoCapture(str(rig.folder / 'demo.mp4')).read()[0]
-
-
-def _offline(rig: SmokeRig, *words: object) -> dict[str, Any]:
-    out = rig.folder / 'answer.json'
-    done = rig.microbot(*words, '--json', out)
-    assert done.returncode == 0, done.stdout + done.stderr
-    found: dict[str, Any] = json.loads(out.read_text())
-    return found
-
-
-def test_info_shows_what_is_in_the_recording(rig: SmokeRig) -> None:
-    done = rig.microbot('info', rig.recording)
-    assert done.returncode == 0, done.stderr
-    assert all(topic in done.stdout for topic in RECORDED)
-
-
-def test_fit_finds_in_the_recording_what_swam(rig: SmokeRig) -> None:
-    session = read_session(rig.recording)
-    assert len(np.unique(session.tracks.particle)) >= len(SPEEDS_UM_S)
-    found = _offline(rig, 'fit', rig.recording, '--out', rig.folder / 'fit')
-    speeds = [one['v_um_s']['value'] for one in found['particles'].values()]
-    assert len(speeds) >= len(SPEEDS_UM_S)
-    assert min(speeds) > 0.5 * min(SPEEDS_UM_S)
-    assert max(speeds) < 1.5 * max(SPEEDS_UM_S)
-
-
-def test_the_model_answers_the_recording_as_it_did(rig: SmokeRig) -> None:
-    found = _offline(rig, 'replay', rig.recording, '--check', '--node', 'model')
-    assert found['same'] is True
-    assert found['topics'][0]['compared'] > 50
-
-
 def test_a_replay_beside_a_live_rig_is_refused(rig: SmokeRig) -> None:
     done = rig.microbot('replay', rig.recording, '--topic', 'goals')
     assert done.returncode == 1
@@ -188,3 +147,47 @@ def test_a_stop_leaves_zero_and_every_node_ends_by_itself(rig: SmokeRig) -> None
     assert not any(last['currents_A'])
     assert last['cause'] != 'power_off'
     assert rig.graph.count == 1  # the amplifier, which nobody needed to switch off
+
+
+# What was recorded, without the graph ----------------------------------------------------------
+
+def test_the_demo_draws_what_was_recorded(rig: SmokeRig) -> None:
+    robots = KINDS['catalytic'](rig.folder)
+    run = demo._Run(rig.goal[None], rig.began_s, ['hold', 'open_loop', 'waypoint'], [])
+    summary = demo._look_back(rig.folder, rig.folder, run, robots, rig.began_s)
+    assert summary['goals_reached'] == summary['goals'] == 1
+    assert len(summary['estimate']) == len(SPEEDS_UM_S)
+    assert summary['frames'] > 100
+    assert summary['amplifier']['crc_errors'] == 0
+    assert cv2.imread(str(rig.folder / 'demo.png')).std() > 10
+    assert cv2.VideoCapture(str(rig.folder / 'demo.mp4')).read()[0]
+
+
+def _offline(rig: SmokeRig, *words: object) -> dict[str, Any]:
+    out = rig.folder / 'answer.json'
+    status, said, error = command(*words, '--json', out)
+    assert status == 0, said + error
+    found: dict[str, Any] = json.loads(out.read_text())
+    return found
+
+
+def test_info_shows_what_is_in_the_recording(rig: SmokeRig) -> None:
+    status, said, error = command('info', rig.recording)
+    assert status == 0, error
+    assert all(topic in said for topic in RECORDED)
+
+
+def test_fit_finds_in_the_recording_what_swam(rig: SmokeRig) -> None:
+    session = read_session(rig.recording)
+    assert len(np.unique(session.tracks.particle)) >= len(SPEEDS_UM_S)
+    found = _offline(rig, 'fit', rig.recording, '--out', rig.folder / 'fit')
+    speeds = [one['v_um_s']['value'] for one in found['particles'].values()]
+    assert len(speeds) >= len(SPEEDS_UM_S)
+    assert min(speeds) > 0.5 * min(SPEEDS_UM_S)
+    assert max(speeds) < 1.5 * max(SPEEDS_UM_S)
+
+
+def test_the_model_answers_the_recording_as_it_did(rig: SmokeRig) -> None:
+    found = _offline(rig, 'replay', rig.recording, '--check', '--node', 'model')
+    assert found['same'] is True
+    assert found['topics'][0]['compared'] > 50

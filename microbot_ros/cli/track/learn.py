@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from microbot_ros.cli.track.view import View, telling_colour
+from microbot_ros.cli.track.view import View
 from microbot_ros.common.errors import InputError
 
 if TYPE_CHECKING:
     from microbot_ros.cameras.source import Source
     from microbot_ros.tracking import TrackerSettings
+    from microbot_ros.tracking.locate.colour import Weights
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ def look(
     colour = settings.colour
     said: list[str] = []
     if like and colour is None and not settings.kinds:
-        colour, said = telling_colour(like, unlike, named)
+        colour, said = _telling_colour(like, unlike, named)
         settings = settings.model_copy(update={'colour': colour})
     view = View(colour, interlaced(samples))
     if view.interlaced:
@@ -179,3 +180,22 @@ def write_learned(folder: Path, settings: TrackerSettings, image: np.ndarray) ->
                yaml.safe_dump(content, sort_keys=False, allow_unicode=True,
                               default_flow_style=None))
     write_kinds_figure(folder / 'learned.png', image, settings)
+
+
+def _telling_colour(
+    like: Sequence[Point], unlike: Sequence[Point], named: dict[int, np.ndarray]
+) -> tuple[Weights | None, list[str]]:
+    """The weights that tell best what was pointed at in the `named` frames, and a sentence.
+
+    None, and no sentence, where brightness does as well.
+    """
+    from microbot_ros.tracking.locate.colour import Spot, telling_weights
+
+    found = telling_weights([
+        *(Spot(named[point.frame], point.x, point.y, point.kind or '') for point in like),
+        *(Spot(named[point.frame], point.x, point.y, None) for point in unlike)])
+    if found is None:
+        return None, []
+    weights, gain = found
+    return weights, ['seen by its colour, which tells it {:.1f} times better than brightness: '
+                     '{:+g} red {:+g} green {:+g} blue'.format(gain, *weights)]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from microbot_ros.cli.track.learn import Point
     from microbot_ros.tracking.locate.colour import Weights
 
 
@@ -36,22 +34,3 @@ class View:
         if self.interlaced:
             picture = one_field(picture)
         return grey(picture) if self.colour is None else weighted(picture, self.colour)
-
-
-def telling_colour(
-    like: Sequence[Point], unlike: Sequence[Point], named: dict[int, np.ndarray]
-) -> tuple[Weights | None, list[str]]:
-    """The weights that tell best what was pointed at in the `named` frames, and a sentence.
-
-    None, and no sentence, where brightness does as well.
-    """
-    from microbot_ros.tracking.locate.colour import Spot, telling_weights
-
-    found = telling_weights([
-        *(Spot(named[point.frame], point.x, point.y, point.kind or '') for point in like),
-        *(Spot(named[point.frame], point.x, point.y, None) for point in unlike)])
-    if found is None:
-        return None, []
-    weights, gain = found
-    return weights, ['seen by its colour, which tells it {:.1f} times better than brightness: '
-                     '{:+g} red {:+g} green {:+g} blue'.format(gain, *weights)]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from microbot_ros.model.effect import Effect
-from microbot_ros.model.evidence import Evidence
+from microbot_ros.model.effect import Effect, Evidence
 from microbot_ros.model.parameter import STAMPS, parameter
 
 

@@ -8,9 +8,8 @@ from typing import Self
 
 import numpy as np
 
-from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect import Effect, Evidence, Recorded
 from microbot_ros.model.effect_context import EffectContext
-from microbot_ros.model.evidence import Evidence, Recorded
 from microbot_ros.model.parameter import parameter
 
 _WIDTHS = (3, 5, 8, 12, 20)

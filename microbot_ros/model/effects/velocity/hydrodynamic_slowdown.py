@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect import Effect, Evidence
 from microbot_ros.model.effect_context import EffectContext
-from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 

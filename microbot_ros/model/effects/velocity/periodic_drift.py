@@ -8,9 +8,8 @@ from typing import Self
 
 import numpy as np
 
-from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect import Effect, Evidence
 from microbot_ros.model.effect_context import EffectContext
-from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 PERIODS = 2.0
