@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.discovery.check.held_out import HeldOut, held_out_gap, mean_by_stretch
+from microbot_ros.discovery.check.held_out import HeldOut, hold_out, mean_by_stretch
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.hypotheses import add_effects, fit_first_order
 from microbot_ros.discovery.next_experiment import next_experiment
@@ -17,6 +17,11 @@ from microbot_ros.discovery.search import contribution
 from microbot_ros.estimation.likelihood.model_fit import fit_sessions
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.physics.vectors import as_vectors
+
+
+def held_out_gap(fit, *rest):
+    """Return the gap over the noise of the `fit` itself."""
+    return hold_out(fit, *rest).gap(fit)
 
 
 class Start:

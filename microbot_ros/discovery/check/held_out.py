@@ -79,12 +79,6 @@ class HeldOut:
         return not better.size or bool(better.mean() > (WORTH * floor) ** 2)
 
 
-def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], names: Collection[str],
-                 truth: Model | None = None) -> Gap:
-    """Return the gap of `hold_out` over the noise of the `fit`."""
-    return hold_out(fit, sessions, names, truth).gap(fit)
-
-
 def hold_out(fit: ModelFit, sessions: Sequence[PreparedSession], names: Collection[str],
              truth: Model | None = None, run: Run = serially,
              relearn: Callable[[ModelFit], ModelFit] | None = None) -> HeldOut:
