@@ -60,7 +60,7 @@ class Whitening:
     of its speed. Rollers swing forth and back with every turn: `swing_ratio` [s] is the variance
     over D by which positions scatter for that along the `way` (T, N) of each, complex of length 1
     or 0. Commands act earlier or later than logged, and bodies turn over before they follow:
-    `jitter_ratio` [s³/m²] is the variance of that time over D, and `change` (T−1, N) [m²/s²] the
+    `jitter_ratio` [s³/m²] is the variance of that time over 2D, and `change` (T−1, N) [m²/s²] the
     square of the change of the velocity around each interval. Steps along the way are uneven:
     `uneven_ratio` [s/m] is the variance of a distance over D, for each metre of it; `stride`
     (T−1, N) [√m], complex, is the root of each step, along it. `stretch`: how much larger than
@@ -235,8 +235,8 @@ class SessionFit:
 
     @property
     def jitter(self) -> float:
-        """Standard deviation [s] of the time at which a command acts."""
-        return math.sqrt(self.whitening.jitter_ratio * self.diffusion)
+        """RMS displacement by a change of the command, over the change of velocity [s]."""
+        return math.sqrt(2 * self.whitening.jitter_ratio * self.diffusion)
 
     @property
     def localisation(self) -> float:
