@@ -18,10 +18,10 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
+from bench._virtual import VirtualAmplifier, VirtualDriver
 from bench.figure import sized
 from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.emulator.process import DEVICES
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.loop.allocation import GateParameters, limits
 

@@ -89,7 +89,7 @@ def mislisted(function, docstring):
     section = re.search(r'(?ms)^Parameters\n-{10}\n(.*?)(?:\n\n|\Z)', docstring)
     if section is None:
         return set()
-    listed = {name for names in re.findall(r'^([*\w, ]+?)(?: :|$)', section[1], re.MULTILINE)
+    listed = {name for names in re.findall(r'^([*\w][*\w, ]*?)(?: :|$)', section[1], re.MULTILINE)
               for name in names.replace('*', '').split(', ')}
     given = function.args
     every = (*given.posonlyargs, *given.args, given.vararg, *given.kwonlyargs, given.kwarg)

@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 import pytest
 import yaml
+from schemas import schema_file
 
 import microbot_ros
 from microbot_ros.cli import microbot
@@ -93,6 +94,12 @@ def test_every_topic_and_every_field_has_its_meaning(build):
     meaning = yaml.safe_load(build.results.MEANING.read_text(encoding='utf-8'))
     assert {file: set(build.results.fields(file)) for file in meaning} == {
         file: set(fields) for file, fields in meaning.items()}
+
+
+def test_each_topic_of_strings_has_a_published_schema(build):
+    strings = {end.name for end in build.graph.ends() if end.kind == 'std_msgs/String'}
+    for name in {*strings, 'controller/list_controllers'}:
+        assert json.loads(schema_file(name).read_text(encoding='utf-8'))['title'].startswith(name)
 
 
 def test_every_topic_that_is_recorded_is_in_the_reference(build):

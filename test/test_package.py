@@ -16,6 +16,7 @@ from typing import Any
 
 import lowest
 import pytest
+import release
 import yaml
 
 import microbot_ros
@@ -142,6 +143,13 @@ def test_versions_agree() -> None:
     setup = re.search(r"version='([^']+)'", (ROOT / 'setup.py').read_text())
     assert setup is not None
     assert package == setup.group(1) == microbot_ros.__version__
+
+
+def test_each_criterion_of_a_release_is_evaluated_or_has_a_judge() -> None:
+    criteria = release.criteria()
+    assert len(criteria) == len(release.CHECKS)
+    for criterion in criteria:
+        assert [begin for begin in release.CHECKS if criterion.startswith(begin)], criterion
 
 
 # Where the key of rosdep is not python3- and the name on PyPI.

@@ -19,9 +19,9 @@ CONTENT = Path(__file__).with_name('graph.yaml')
 """Topic or service → what is in it, for people."""
 
 _SHARED = {'lifecycle': NODES, 'log': ('tracker', 'model', 'controller'), 'replay': (),
-           'frames': ('tracker',), 'playback_publishers': ('player',),
-           'felt_rotation': ('tracker', 'model'), 'preview': ('camera', 'virtual_rig'),
-           'operated_rig': ('cockpit',), 'rig_view': ('cockpit',), 'graph_client': (),
+           'frames': ('tracker',), 'felt_rotation': ('tracker', 'model'),
+           'preview': ('camera', 'virtual_rig'), 'operated_rig': ('cockpit',),
+           'rig_view': ('cockpit',), 'graph_client': (),
            'driven_rig': ('microbot discover --drive',),
            'verdict_publisher': ('microbot discover --live',)}
 """Module that makes a topic for others → for whom; of commands only those that stay."""

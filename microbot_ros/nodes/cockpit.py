@@ -66,6 +66,8 @@ class CockpitNode(RigNode):
 
     def start(self) -> None:
         assert self._server is not None
+        if self._server.serving:
+            return  # the page is served until the cleanup
         self._server.start()
         self._address = address.write(self._server.address, self._server.port)
         line = f'cockpit: {address.WORDS}{self._address}'

@@ -9,7 +9,6 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
-import yaml
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PoseArray, PoseStamped, TwistStamped, Vector3Stamped
@@ -263,7 +262,7 @@ class ControllerNode(RigNode, ControllerCore):
         self.connect()
         summaries = {name: kind.summary for name, kind in self.stage.classes.items()}
         self.publisher(String, '~/controllers', LATCHED).publish(
-            String(data=yaml.safe_dump(summaries, sort_keys=False)))
+            String(data=json.dumps(summaries, ensure_ascii=False)))
         self.every(0.05, self._watch)
         self.service(Trigger, '~/list_controllers', self._on_list)
         self._progress = self.publisher(DiagnosticStatus, '~/progress')

@@ -161,10 +161,10 @@ class TrackerNode(RigNode, TrackerCore):
                                  f'{point.x}, {point.y}')
             if header.frame_id == messages.WORKSPACE:
                 x, y = self.stage.pixel_at(point.x, point.y)
-            elif header.frame_id == messages.CAMERA:
+            elif header.frame_id == messages.PIXELS:
                 x, y = point.x, point.y
             else:
-                raise InputError(f'tracker/{example}', f"expected the frame {messages.CAMERA} or "
+                raise InputError(f'tracker/{example}', f"expected the frame {messages.PIXELS} or "
                                  f"{messages.WORKSPACE}; received '{clipped(header.frame_id)}'")
             level, said = OK, self.stage.teach(
                 example == 'like', x, y, self.settings.example_kind or None,

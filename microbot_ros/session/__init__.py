@@ -10,7 +10,7 @@ from microbot_ros.session.tables.folder import read_folder, write_folder
 
 
 def read_session(path: str | Path) -> Session:
-    """Tracks, commands and conditions of a session folder or a recording.
+    """Read tracks, commands and conditions from `path`, a session folder or a recording.
 
     Raises InputError naming file, line or topic, and what was expected.
     """
@@ -30,5 +30,5 @@ def read_session(path: str | Path) -> Session:
 
 
 def write_session(path: str | Path, session: Session) -> None:
-    """Write `tracks.csv`, `commands.csv` and `session.yaml` into a folder, all or nothing."""
+    """Write `session` to `path` as `tracks.csv`, `commands.csv`, `session.yaml`, all or none."""
     write_folder(Path(path), session)

@@ -1,4 +1,4 @@
-"""What is in a session: topics and rates, gaps, frames that are missing, latency, excitation."""
+"""Survey of a session: topics and rates, gaps, missing frames, latency, excitation."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from microbot_ros.session.replay.as_messages import SessionMessages
 from microbot_ros.session.tables.folder import read_folder
 
 _SAME_LEVEL = 0.02
-"""Values closer than this share of the largest are one level."""
+"""Choice: values closer than this share of the largest are one level."""
 _STEP = 1e-3
-"""Turns smaller than this [rad] are read-back noise, not turns."""
+"""Choice: smaller turns [rad] are read-back noise."""
 
 
 @dataclass(frozen=True)
 class CommandSpread:
-    """The spread of the commands over the time that particles were seen.
+    """Spread of the commands over the time that particles were tracked.
 
-    `rows` commands in all; `off_share` of that time nothing was commanded; `direction_variance` is
+    `rows` commands in all; `off_share` of the time without a command; `direction_variance` is
     circular, weighted by time: 0 for one direction, 1 for all alike; `magnitudes_mT` and
     `frequencies_hz` are the levels used; `turns_left` and `turns_right` count changes of
     direction.
@@ -43,8 +43,7 @@ class CommandSpread:
 class TopicSurvey:
     """One topic: its `name` and `type`, the `count` of its messages, their `rate_hz`.
 
-    A gap is a pause of more than three of its median intervals; `longest_gap_s` is the longest of
-    all pauses.
+    `gaps` counts pauses of more than three median intervals; `longest_gap_s` is the longest pause.
     """
 
     name: str
@@ -57,13 +56,13 @@ class TopicSurvey:
 
 @dataclass(frozen=True)
 class Survey:
-    """What `microbot info` tells. None where a session does not know.
+    """Content of `microbot info`; None if unknown.
 
-    `kind` of what lies at `path`, 'recording' or 'folder'; `complete` unless it was cut off;
-    `duration_s` from the first message to the last; `particles` counts them; `frames` with tracks
-    and `frames_missing` among them are judged by the times of exposure; `dropped` is what the
-    recorder had to give up, by topic; `latency_ms` runs from exposure to the amplifier's
-    acknowledgement; `attachments` by name; `metadata` as recorded; `remarks` for people.
+    `kind` of the session at `path`, 'recording' or 'folder'; `complete` unless cut off;
+    `duration_s` from the first message to the last; `topics`; number of `particles`; `frames` with
+    tracks and `frames_missing` among them by exposure times; `dropped` by the recorder, by topic;
+    `latency_ms` from exposure to the amplifier's acknowledgement; `excitation`; `attachments` by
+    name; `metadata` as recorded; `remarks` for people.
     """
 
     path: str
@@ -83,15 +82,15 @@ class Survey:
 
 
 def survey_folder(path: Path) -> tuple[Survey, Session]:
-    """A look at a folder of CSV files."""
+    """Survey a folder of CSV files at `path`."""
     session = read_folder(path)
     return _survey(path, SessionMessages(session), None, session, []), session
 
 
 def survey_recording(recording: Recording) -> tuple[Survey, Session | None]:
-    """A look at a recording; None for a session that cannot be read out of it.
+    """Survey a `recording`; the session is None if it cannot be read.
 
-    InputError for one that was cut off before its first message.
+    Raises InputError if it was cut off before its first message.
     """
     if not (recording.complete or recording.end_ns):
         raise InputError(recording.path, 'expected messages, found no whole one')
@@ -134,8 +133,7 @@ def _survey(
 
 
 def missing_frames(times: np.ndarray) -> int:
-    """Frames that an even frame rate would have had between the first and the last of `times` [s].
-    """
+    """Return the number of frames missing between the first and last of `times` [s]."""
     steps = np.diff(times)
     if not len(steps):
         return 0
@@ -166,7 +164,7 @@ def _latency(recording: Recording) -> dict[str, float] | None:
 
 
 def command_spread(commands: Commands, start: float, end: float) -> CommandSpread:
-    """The spread of `commands` between the times `start` and `end` [s]."""
+    """Return the spread of `commands` between the times `start` and `end` [s]."""
     edges = np.clip(np.append(commands.t, np.inf), start, end)
     held = np.diff(edges)
     bx, by = commands.field.T
@@ -187,7 +185,7 @@ def command_spread(commands: Commands, start: float, end: float) -> CommandSprea
 
 
 def _levels(values: np.ndarray) -> tuple[float, ...]:
-    """The distinct levels among values, ascending; what is nearly the same is one."""
+    """Return the distinct levels among values, ascending; nearly equal ones are merged."""
     ordered = np.sort(values)
     width = _SAME_LEVEL * np.abs(ordered).max(initial=0.0)
     levels = []

@@ -1,4 +1,4 @@
-"""A session on one page: where the particles went, what was commanded, when each topic spoke."""
+"""Figure of a session: paths, commands, and rates of the topics."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def draw_survey(survey: Survey, session: Session | None, path: Path) -> None:
-    """Write the figure; the ending of `path` gives the format."""
+    """Save a figure of `survey` and `session`; the suffix of `path` gives the format."""
     from matplotlib.figure import Figure
 
     heights = [2.4, 2.4, 0.8 + 0.2 * len(survey.topics)]

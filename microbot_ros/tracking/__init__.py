@@ -1,4 +1,4 @@
-"""From frames to particles with lasting identities; from pixels to metres."""
+"""From frames to particles with lasting identities, and from pixels to metres."""
 
 from microbot_ros.tracking.camera import ImageToWorkspace
 from microbot_ros.tracking.drive import Drive

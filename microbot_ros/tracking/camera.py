@@ -1,4 +1,4 @@
-"""The one transform between what the camera reports and where things are."""
+"""The one transform between image and workspace."""
 
 from __future__ import annotations
 
@@ -11,13 +11,20 @@ import numpy as np
 
 @dataclass(frozen=True)
 class ImageToWorkspace:
-    """Pixels ↔ metres, and the angles and vectors that go with them.
+    """Transform between pixels and metres, also for angles and vectors.
 
     Image: x right, y down, the centre of the first pixel at (0, 0); image angles turn from x
     towards y, clockwise on the screen. Workspace: x along the x coils, y up, the origin at the
-    centre of the image; angles counter-clockwise. `pixel_size` [m]; `rotation` [rad] is the
-    workspace angle of the image's x axis; `width` and `height` [px]; `mirrored` is True where
-    the optics mirror the picture, so that image y already points the workspace's way.
+    centre of the image; angles counter-clockwise.
+
+    Attributes
+    ----------
+    pixel_size : float [m]
+    width, height : int [px]
+    rotation : float
+        Workspace angle of the image's x axis [rad].
+    mirrored : bool
+        Whether the optics mirror the picture, so that image y points along workspace y.
     """
 
     pixel_size: float
@@ -54,31 +61,31 @@ class ImageToWorkspace:
         return np.linalg.inv(self._matrix)
 
     def position(self, pixels: np.ndarray) -> np.ndarray:
-        """Workspace positions [m] of image points [px], both (..., 2)."""
+        """Convert image points `pixels` (..., 2) [px] to workspace positions [m]."""
         return (np.asarray(pixels, float) - self._centre) @ self._matrix.T
 
     def pixels(self, position: np.ndarray) -> np.ndarray:
-        """Image points [px] of workspace positions [m], both (..., 2)."""
+        """Convert workspace positions (..., 2) [m] to image points [px]."""
         return np.asarray(position, float) @ self._inverse.T + self._centre
 
     def vector(self, pixels: np.ndarray) -> np.ndarray:
-        """Displacements or velocities [px, px/s] as [m, m/s], both (..., 2)."""
+        """Convert displacements or velocities `pixels` (..., 2) [px, px/s] to [m, m/s]."""
         return np.asarray(pixels, float) @ self._matrix.T
 
     def vector_pixels(self, vector: np.ndarray) -> np.ndarray:
-        """Displacements or velocities [m, m/s] as [px, px/s], both (..., 2)."""
+        """Convert a `vector` (..., 2) [m, m/s] to [px, px/s]."""
         return np.asarray(vector, float) @ self._inverse.T
 
     def image_axes(self, vector: np.ndarray) -> np.ndarray:
-        """Vectors (..., 2) of the workspace in the image's axes, their length as it is."""
+        """Rotate a workspace `vector` (..., 2) into image axes, keeping its length."""
         return self.vector_pixels(vector) * self.pixel_size
 
     def angle(self, image_angle: np.ndarray) -> np.ndarray:
-        """Workspace angles [rad] in (−π, π] of image angles [rad]; NaN stays NaN."""
+        """Convert an `image_angle` [rad] to workspace angles in (−π, π]; NaN stays NaN."""
         return _wrapped(self.rotation + self._sense * np.asarray(image_angle, float))
 
     def image_angle(self, angle: np.ndarray) -> np.ndarray:
-        """Image angles [rad] in (−π, π] of workspace angles [rad]; NaN stays NaN."""
+        """Convert a workspace `angle` [rad] to image angles in (−π, π]; NaN stays NaN."""
         return _wrapped(self._sense * (np.asarray(angle, float) - self.rotation))
 
     @property

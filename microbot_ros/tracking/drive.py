@@ -1,4 +1,4 @@
-"""Which way the field drives the particles, and what that sums up to between two frames."""
+"""Direction in which the field drives the particles, integrated between two frames."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from collections import deque
 import numpy as np
 
 _MOST = 10_000
-"""Commands kept while no frame comes."""
+"""Choice: commands kept while no frame arrives."""
 
 
 class Drive:
-    """The drive over time: each command holds until the next; before the first there is none.
+    """Drive over time: each command holds until the next; before the first there is none.
 
-    A drive is the direction in which the field would move a particle with φ = 0: of length one
-    for swimmers, who go at their own speed, and the rotation frequency [Hz] for rollers.
+    A drive is the direction in which the field would move a particle with φ = 0: of length one for
+    swimmers, which have their own speed, and of the rotation frequency [Hz] for rollers.
     """
 
     def __init__(self) -> None:
         self._commands: deque[tuple[float, complex]] = deque(maxlen=_MOST)
 
     def command(self, t: float, drive: np.ndarray) -> None:
-        """From `t` [s] on the drive is (2,). What is not finite is not taken.
+        """Set the `drive` (2,) from `t` [s] on; values that are not finite are ignored.
 
         A time before the last one replaces what was known from there on.
         """
@@ -34,7 +34,7 @@ class Drive:
         self._commands.append((t, complex(x, y)))
 
     def between(self, start: float, end: float) -> np.ndarray:
-        """The drive (2,) summed from `start` to `end` [s]; what came before is forgotten."""
+        """Return the drive (2,) integrated from `start` to `end` [s]; forget what came before."""
         while len(self._commands) > 1 and self._commands[1][0] <= start:
             self._commands.popleft()
         total, until = 0j, end

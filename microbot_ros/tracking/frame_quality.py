@@ -1,27 +1,27 @@
-"""What is wrong with the pictures as they come: light, saturation, frames that are missing."""
+"""Problems of the pictures: light, saturation, missing frames."""
 
 from __future__ import annotations
 
 import numpy as np
 
 _SAMPLES = 32
-"""Points across the shorter side at which the light is read."""
+"""Choice: points across the shorter side at which the light is sampled."""
 
 _FLICKER, _DRIFT = 0.1, 0.3
-"""Relative change of the light: from its latest, and from when particles were learned."""
+"""Choices: relative changes of the light that are reported, from recent and from learned light."""
 
 _RECENT, _LEARNED = 0.1, 30
-"""Share of a new frame in what is recent; frames after which the light counts as learned."""
+"""Choices: weight of a new frame in recent values; frames after which the light is learned."""
 
 _SATURATED = 0.02
-"""Share of the picture at the top of its range; nothing can be measured there."""
+"""Choice: share of saturated pixels that is reported; nothing can be measured there."""
 
 _LATE = 2.5
-"""Usual intervals: longer ones have lost more than a frame."""
+"""Choice: usual intervals from which a gap is reported: more than one frame was lost."""
 
 
 class FrameQuality:
-    """Keeps what is usual of light and time, and says what is not."""
+    """Tracks usual light and frame interval, and reports deviations."""
 
     def __init__(self) -> None:
         self._light = 0.0
@@ -30,9 +30,9 @@ class FrameQuality:
         self._frames = 0
 
     def look(self, image: np.ndarray, dt: float | None, jump_px: float) -> dict[str, str]:
-        """What is wrong with an `image` (H, W) that came `dt` [s] after the last: kind → sentence.
+        """Return problems of an `image` (H, W), `dt` [s] after the last: kind → sentence.
 
-        `jump_px` is how far the picture has jumped, as the linker found.
+        `jump_px` is the jump of the whole picture, as found by the linker.
         """
         said = self._see(image)
         self._frames += 1

@@ -1,4 +1,4 @@
-"""Pixel size and angle from a picture of evenly spaced lines: a stage micrometer, a grating."""
+"""Pixel size and angle from a picture of evenly spaced lines: stage micrometer, grating."""
 
 from __future__ import annotations
 
@@ -10,27 +10,28 @@ import numpy as np
 from microbot_ros.common.errors import InputError
 
 _LEAST_LINES = 3
-"""Periods across a part of the picture; fewer look like uneven light."""
+"""Choice: periods across a part of the picture; fewer look like uneven light."""
 
 _STANDS_OUT = 15.0
-"""Peak of the spectrum over its median; noise alone reaches 5."""
+"""Choice: peak of the spectrum over its median; noise alone reaches 5."""
 
 _FAINTEST = 0.3
-"""Grey levels: less is lost in rounding."""
+"""Choice: grey levels below which lines are lost in rounding."""
 
 _FUNDAMENTAL = 0.5
-"""A peak at a fraction of the frequency that is at least so high is the lines' own."""
+"""Choice: relative height of a peak at a fraction of the frequency that is the fundamental."""
 
 _EVEN = 0.03
-"""Relative difference of period over the field beyond which the lines are not even."""
+"""Choice: relative difference of the period over the field up to which lines count as even."""
 
 
 @dataclass(frozen=True)
 class Graticule:
-    """Lines in a picture: `period_px` across them, and `angle` [rad] of that normal in the image.
+    """Lines in a picture.
 
-    The angle goes from x towards y, in (−π/2, π/2]. `period_std_px` and `angle_std` come from
-    how much the quarters of the picture differ, distortion included.
+    `period_px` across them, and `angle` [rad] of their normal in the image, from x towards y, in
+    (−π/2, π/2]. `period_std_px` and `angle_std` come from the differences between the quarters of
+    the picture, distortion included.
     """
 
     period_px: float
@@ -40,11 +41,10 @@ class Graticule:
 
 
 def measure_graticule(image: np.ndarray, source: str) -> Graticule:
-    """The strongest set of parallel lines in an `image` (H, W).
+    """Measure the strongest set of parallel lines in an `image` (H, W).
 
-    The period is the peak of the Fourier spectrum, found between its samples; that of the whole
-    picture leads to that of each quarter. Raises InputError naming `source` where nothing in the
-    picture repeats, or not evenly.
+    The period is the peak of the Fourier spectrum, interpolated; that of the whole picture is the
+    start for each quarter. Raises InputError naming `source` if nothing repeats, or not evenly.
     """
     flat = _flattened(image)
     whole = _refined(flat, _peak(flat, source))
@@ -53,7 +53,7 @@ def measure_graticule(image: np.ndarray, source: str) -> Graticule:
              for columns in _halves(width)]
     found = np.array([_refined(part, whole) for part in parts])
     period, angle = 1 / np.hypot(*found.T), math.atan2(whole[1], whole[0])
-    # A normal and its opposite are one.
+    # A normal and its opposite are equivalent.
     turned = np.angle(np.exp(2j * (np.arctan2(found[:, 1], found[:, 0]) - angle))) / 2
     if np.ptp(period) > _EVEN * period.mean():
         raise InputError(source, 'expected evenly spaced lines over the whole picture; their '
@@ -64,7 +64,7 @@ def measure_graticule(image: np.ndarray, source: str) -> Graticule:
 
 
 def _flattened(image: np.ndarray) -> np.ndarray:
-    """The picture without its light, faded out towards the edges."""
+    """Return the picture without its illumination, faded out towards the edges."""
     height, width = image.shape
     y, x = np.mgrid[-1:1:height * 1j, -1:1:width * 1j]
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
@@ -79,7 +79,7 @@ def _halves(length: int) -> tuple[slice, slice]:
 
 
 def _peak(flat: np.ndarray, source: str) -> np.ndarray:
-    """Spatial frequency (2,) [1/px] of the lines, to the resolution of the picture."""
+    """Return the spatial frequency (2,) [1/px] of the lines, to the resolution of the picture."""
     height, width = flat.shape
     spectrum = np.abs(np.fft.rfft2(flat))
     fy, fx = np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width)[None, :]
@@ -102,7 +102,7 @@ def _peak(flat: np.ndarray, source: str) -> np.ndarray:
 
 
 def _refined(flat: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """The frequency (2,) at the top of the peak near `start`."""
+    """Return the frequency (2,) at the top of the peak near `start`."""
     from scipy.optimize import minimize
 
     height, width = flat.shape
@@ -114,7 +114,7 @@ def _refined(flat: np.ndarray, start: np.ndarray) -> np.ndarray:
         wave = np.exp(-2j * np.pi * fy * y) @ flat @ np.exp(-2j * np.pi * fx * x)
         return -float(abs(wave))
 
-    # Steps of a sample of the spectrum, on a value of order one.
+    # Scaled to a value of order one, with steps of a sample of the spectrum.
     scale = -power(np.zeros(2)) or 1.0
     best = minimize(lambda offset: power(offset) / scale, np.zeros(2), method='Nelder-Mead',
                     options={'xatol': 1e-4, 'fatol': 1e-9, 'initial_simplex': [

@@ -1,4 +1,4 @@
-"""What the tracker sees, drawn for people: a frame with its particles, a film of frames."""
+"""Overlays of what the tracker sees: a frame with its particles, and a film."""
 
 from __future__ import annotations
 
@@ -15,20 +15,19 @@ _COLOURS = np.array([
     [230, 159, 0], [86, 180, 233], [0, 158, 115], [240, 228, 66], [0, 114, 178], [213, 94, 0],
     [204, 121, 167],
 ])[:, ::-1].tolist()
-"""Colours that the colour-blind tell apart (M. Okabe, K. Ito, 2008), as BGR."""
+"""Colours for colour-blind viewers (M. Okabe, K. Ito, 2008), as BGR."""
 
-_WIDEST = 960
-_TRAIL = 40
+_WIDEST, _TRAIL = 960, 40  # choices: width of a film [px], frames of a trail
 
 
 def draw_overlay(
     image: np.ndarray, poses: Poses, radius_px: float = 8.0,
     trails: dict[int, deque[np.ndarray]] | None = None,
 ) -> np.ndarray:
-    """An `image` (H, W) uint8 or uint16 with its particles, as (H, W, 3) BGR.
+    """Return an `image` (H, W) uint8 or uint16 with its particles drawn, (H, W, 3) BGR.
 
-    A ring of `radius_px` and the identity mark each particle, a thin ring one that is only
-    predicted; a line points along θ where it is known; `trails` holds earlier positions.
+    A ring of `radius_px` and the identity of `poses` mark each particle, a thin ring a predicted
+    one; a line points along θ if known; `trails` holds earlier positions.
     """
     import cv2
 
@@ -54,11 +53,17 @@ def draw_overlay(
 
 
 class OverlayVideo:
-    """A film of overlays: H.264 in MP4, which browsers and players show.
+    """Film of overlays: H.264 in MP4, for browsers and players.
 
-    `path`: a file, or a pipe, which gets a part of the film every half second. `size` is the
-    height and width of the frames [px], `frame_rate` that of the film [Hz], `radius_px` as in
-    `draw_overlay`.
+    Parameters
+    ----------
+    path : Path or binary file
+        A pipe gets a fragment of the film every half second.
+    size : (int, int) [px]
+        Height and width of the frames.
+    frame_rate : float [Hz]
+    radius_px : float
+        As in `draw_overlay`.
     """
 
     def __init__(
@@ -69,7 +74,7 @@ class OverlayVideo:
         self._radius = radius_px
         self._trails: dict[int, deque[np.ndarray]] = {}
         scale = min(1.0, _WIDEST / size[1])
-        # The colours of H.264 want even sides.
+        # Colour subsampling of H.264 needs even sides.
         self._size = tuple(int(side * scale) // 2 * 2 for side in reversed(size))
         self._file = av.open(str(path), 'w', format='mp4') if isinstance(path, Path) else av.open(
             path, 'w', format='mp4', options={
@@ -88,7 +93,7 @@ class OverlayVideo:
         self._file.close()
 
     def write(self, image: np.ndarray, poses: Poses) -> None:
-        """Add one frame, `image` (H, W), with its particles and their trails."""
+        """Add one frame, `image` (H, W), with the particles of `poses` and their trails."""
         self._trails = {
             int(i): self._trails.get(int(i), deque(maxlen=_TRAIL)) for i in poses.id}
         for i, place in zip(poses.id, poses.xy, strict=True):
@@ -96,7 +101,7 @@ class OverlayVideo:
         self.write_picture(draw_overlay(image, poses, self._radius, self._trails))
 
     def write_picture(self, picture: np.ndarray) -> None:
-        """Add a picture (H, W, 3) BGR that is drawn already."""
+        """Add a `picture` (H, W, 3) BGR that is drawn already."""
         import av
         import cv2
 

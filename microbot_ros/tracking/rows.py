@@ -1,4 +1,4 @@
-"""Rows of `tracks.csv`, frame by frame, and what is to be told of the frames: neither is kept."""
+"""Streaming output of `tracks.csv` rows and of remarks about frames."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from microbot_ros.tracking.tracker import Poses
 
 
 class Rows:
-    """Writes rows frame by frame to a `file`, as late as a particle may still be named in them.
+    """Writes rows to a `file` frame by frame, delayed as long as a particle may still be named.
 
-    Frames have the `size` (height, width); with a `pixel_size` [m] rows have times, too, and
-    places, headings and σ in the workspace; with names of `kinds` they end with that of the
-    particle. Cells of what is not known are empty: a heading, and both of who had no name yet.
-    `frames` were tracked; `seen` counts the rows of each particle.
+    With a pixel size, rows also have times, and positions, headings and σ in the workspace; with
+    `kinds` they end with the name of the kind. Unknown values are empty: a heading, and heading
+    and σ of particles that had no name yet. `frames` counts tracked frames, `seen` the rows of
+    each particle. `size` (height, width) of the frames [px]; `pixel_size` [m] or None.
     """
 
     def __init__(self, file: TextIO, size: tuple[int, int], pixel_size: float | None,
@@ -39,9 +39,9 @@ class Rows:
                    + (',kind\n' if kinds else '\n'))
 
     def add(self, frame: int, poses: Poses, names: np.ndarray, before: np.ndarray) -> None:
-        """What was seen in a `frame`: `poses`, and the `names` (n,) of whom it gave names.
+        """Add the `poses` of a `frame` and the `names` (n,) of particles named in it.
 
-        They were at `before` (n, K, 2) [px] in the K frames that came before it.
+        Those were at `before` (n, K, 2) [px] in the K frames before.
         """
         self.frames += 1
         self._kinds.update(zip(poses.id.tolist(), poses.kind.tolist(), strict=True))
@@ -58,7 +58,7 @@ class Rows:
             self._write(*self._open.popleft())
 
     def close(self) -> None:
-        """Write what is left; the file stays open."""
+        """Write all remaining rows; the file stays open."""
         while self._open:
             self._write(*self._open.popleft())
 
@@ -80,20 +80,20 @@ def _known(value: float, digits: int) -> str:
 
 
 class Remarks:
-    """What was odd in the frames: of each kind the first sentence, and how many there are."""
+    """Problems of the frames: the first sentence of each kind, and their number."""
 
     def __init__(self) -> None:
         self._first: dict[str, tuple[int, str]] = {}
         self._count: Counter[str] = Counter()
 
     def add(self, frame: int, said: Mapping[str, str]) -> None:
-        """What was `said` of a `frame`: kind → sentence."""
+        """Add the sentences `said` about a `frame`: kind → sentence."""
         for kind, sentence in said.items():
             self._first.setdefault(kind, (frame, sentence))
             self._count[kind] += 1
 
     def sentences(self) -> list[str]:
-        """One of each kind, and one for all particles of which the same is said."""
+        """Return one sentence per kind, and one for all particles of which the same is said."""
         first, counts = list(self._first.values()), [self._count[kind] for kind in self._first]
         told = []
         for sentence, places in together(sentence for _, sentence in first).items():

@@ -1,4 +1,4 @@
-"""What a user may set of the tracker; whatever is left out is found from the first frames."""
+"""User settings of the tracker; those left out are found from the first frames."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from microbot_ros.tracking.locate.standing import Place
 
 
 class TrackerSettings(Settings):
-    """Settings of detection and linking; None means: found from the first frames."""
+    """Settings of detection and linking; None: found from the first frames."""
 
     contrast: Literal['dark', 'bright'] | None = Field(
         None, description='whether the middle of a particle is darker or brighter than around it')

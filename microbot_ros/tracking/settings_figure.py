@@ -1,4 +1,4 @@
-"""A picture of what the tracker chose: what it looks for, and what it found with that."""
+"""Figure of what the tracker searches for, and what it found."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ def write_settings_figure(
     path: Path, image: np.ndarray, found: Detections, appearance: Appearance,
     settings: TrackerSettings,
 ) -> None:
-    """An `image` with its detections, the learned picture, its profile, and the settings in words.
+    """Save a figure to `path`: `image`, what was `found`, learned picture, profile, settings.
+
+    `appearance` holds the learned picture, `settings` the settings.
     """
     from matplotlib.figure import Figure
 

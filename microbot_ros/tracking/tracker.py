@@ -22,7 +22,7 @@ from microbot_ros.tracking.teach.learn import learning
 
 
 class FrameError(InputError):
-    """A frame that can not be used: wrong size, encoding or time. The tracker is as before.
+    """A frame that cannot be used: wrong size, encoding or time. The tracker is unchanged.
 
     `expected` says what would have been right.
     """
@@ -33,16 +33,25 @@ class FrameError(InputError):
 
 @dataclass(frozen=True)
 class Poses:
-    """Where the particles are at time `t` [s]: arrays of equal length N.
+    """Poses of N particles at time `t` [s]; seen positions are measurements, not smoothed.
 
-    `id` lasting identities, never reused; `x_px`, `y_px` image coordinates, y down, the centre
-    of the first pixel at (0, 0); `theta_rad` direction of the cap from the image's x towards its
-    y (clockwise on the screen), or, of what is longer than wide, of its tail: opposite to where it
-    went, on the whole; NaN where it is not known; `vx_px_s`, `vy_px_s` velocity;
-    `sigma_px` standard deviation of each coordinate, growing while unseen, and while it
-    may be another that is followed, of which `Tracker.remarks` tells; `seen` False while a
-    particle is carried on by prediction; `kind` its place among the kinds that were pointed at, 0
-    where there are none. A seen position is the measurement itself, not a smoothed one.
+    Attributes
+    ----------
+    id : (N,) int array
+        Lasting identities, never reused.
+    x_px, y_px : (N,) array
+        Image coordinates, y down, the centre of the first pixel at (0, 0).
+    theta_rad : (N,) array
+        Direction of the cap from the image's x towards its y (clockwise on the screen), or of the
+        tail of elongated bodies, opposite to their average motion; NaN if unknown.
+    vx_px_s, vy_px_s : (N,) array
+    sigma_px : (N,) array
+        Standard deviation of each coordinate, growing while unseen, and while the identity is in
+        doubt, which `Tracker.remarks` reports.
+    seen : (N,) bool array
+        False while a particle is predicted only.
+    kind : (N,) int array
+        Index of the taught kind, 0 if there are none.
     """
 
     t: float
@@ -71,12 +80,11 @@ class Poses:
 
 
 class Tracker:
-    """Finds and follows particles in a stream of frames.
+    """Finds and follows particles in a stream of frames, by `settings`.
 
-    Without an `appearance` the first frames in which something stands out are used to learn one,
-    a portion with each frame that follows; `ready` turns True then, and till then there are no
-    poses. OpenCV is set to one thread: the tracker shares
-    its machine with the rest of the loop.
+    Without an `appearance` one is learned from the first frames in which something stands out, a
+    portion with each further frame; until then `ready` is False and there are no poses. OpenCV is
+    limited to one thread, since the tracker shares its machine with the rest of the loop.
     """
 
     def __init__(
@@ -93,7 +101,7 @@ class Tracker:
         self._first_frames: list[np.ndarray] = []
         self._learning: Generator[None, None, Appearance | None] | None = None
         self.remarks: dict[str, str] = {}
-        """What is wrong with the last frame, as far as it shows: kind → sentence."""
+        """Visible problems of the last frame: kind → sentence."""
         self._frame_quality = FrameQuality()
         self._last = -math.inf
         self._refused = -math.inf
@@ -105,7 +113,7 @@ class Tracker:
 
     @property
     def before_named(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where those who got their identity in the last frame had been: (n,), (n, K, 2) [px].
+        """Ids (n,) and earlier positions (n, K, 2) [px] of particles named in the last frame.
 
         In the K = confirm_frames − 1 frames before, oldest first.
         """
@@ -115,9 +123,9 @@ class Tracker:
         return named.id, named.early
 
     def teach(self, settings: TrackerSettings) -> None:
-        """Go on by other `settings`: those followed keep their identities where they are found.
+        """Continue with other `settings`; particles that are found again keep their identities.
 
-        Those of a kind that is no more are let go.
+        Particles of a removed kind are dropped.
         """
         if self._follower is not None:
             names = [kind.name for kind in settings.kinds]
@@ -130,24 +138,23 @@ class Tracker:
         self._look()
 
     def _look(self) -> None:
-        """Look from now on for what the settings and the appearance say."""
+        """Search from now on by the present settings and appearance."""
         if self._follower is not None and self.appearance is not None:
             self._follower.look_for(self.settings, self.appearance)
 
     def update(
         self, image: np.ndarray, t: float, drive: np.ndarray | None = None
     ) -> Poses:
-        """The poses at time `t` [s], from a frame (H, W) of uint8 or uint16.
+        """Return the poses at time `t` [s] from a frame `image` (H, W) of uint8 or uint16.
 
-        `drive` (2,) is the direction in which the field drives particles, in image axes, summed
-        over the time since the last frame (`Drive.between`); what it does to each of them, how
-        fast and at which angle, is learned.
-        Raises FrameError, with the tracker as it was, for a frame of another kind than the first
-        or a time that isn't later. Where the clock was set back for good, the next frame goes on
+        `drive` (2,) is the direction in which the field drives particles, in image axes,
+        integrated since the last frame (`Drive.between`); the response of each particle to it is
+        learned. Raises FrameError, without any change, for a frame of another kind than the first
+        or a time that is not later. If the clock was set back for good, the next frame continues
         from there, identities kept.
         """
         self._check(image, drive)
-        image = np.ascontiguousarray(image)  # as a part of a picture all would be compiled anew
+        image = np.ascontiguousarray(image)  # a view would compile everything again
         dt = self._interval(t)
         if self.appearance is None:
             self.remarks = self._frame_quality.look(image, dt, 0.0)
@@ -178,7 +185,7 @@ class Tracker:
             raise FrameError(f'expected a finite drive (2,), got {drive}')
 
     def _interval(self, t: float) -> float | None:
-        """Time since the last frame [s]; None for the first."""
+        """Return the time since the last frame [s]; None for the first."""
         if not math.isfinite(t):
             raise FrameError(f'expected a finite time stamp, got {t}')
         if t > self._last:
@@ -209,7 +216,7 @@ class Tracker:
 
 
 class _Follower:
-    """Search, fit and linking, once it is known what the particles look like."""
+    """Search, fit and linking, once the appearance of particles is known."""
 
     def __init__(self, settings: TrackerSettings, appearance: Appearance, size: tuple[int, int],
                  ) -> None:
@@ -217,12 +224,12 @@ class _Follower:
         self.look_for(settings, appearance)
 
     def look_for(self, settings: TrackerSettings, appearance: Appearance) -> None:
-        """Find what these `settings` say and is of this `appearance`; go on with who is known."""
+        """Search by these `settings` and `appearance`; continue with known particles."""
         self.detector = make_detector(appearance, settings)
         self.linker.look_for(settings, appearance)
 
     def follow(self, image: np.ndarray, dt: float | None, pushed: complex) -> None:
-        """Follow all on to the picture (H, W), `dt` [s] after the last."""
+        """Follow all particles to the picture (H, W), `dt` [s] after the last."""
         if dt is not None:
             self.linker.predict(dt, pushed)
         self.linker.update(self.detector.detect(image, self.linker.expected()))
@@ -231,7 +238,7 @@ class _Follower:
 def make_detector(
     appearance: Appearance, settings: TrackerSettings
 ) -> RoundDetector | OutlineDetector | KindsDetector:
-    """The detector that suits the `appearance`, or the kinds that the `settings` hold."""
+    """Return the detector for the `appearance`, or for the kinds in the `settings`."""
     if settings.kinds:
         return KindsDetector(settings.kinds, settings.standing)
     kind = RoundDetector if appearance.round else OutlineDetector
@@ -252,7 +259,7 @@ def _poses(t: float, states: TrackStates | None, drive_rate: complex) -> Poses:
 @numba.njit(cache=True)
 def _told(  # type: ignore[no-untyped-def]
         ids, missed, measured, motion, covariance, sigma, theta, kind, doubtful, drive_rate):
-    """The fields of `Poses` after the time, of the particles that have an identity."""
+    """Return the fields of `Poses` after the time, of the named particles."""
     rows = np.flatnonzero(ids >= 0)
     x, y, spread = np.empty(len(rows)), np.empty(len(rows)), np.empty(len(rows))
     vx, vy, seen = np.empty(len(rows)), np.empty(len(rows)), missed[rows] == 0

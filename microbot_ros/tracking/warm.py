@@ -1,4 +1,4 @@
-"""Compiling everything before the first frame, which would otherwise wait for it."""
+"""Compilation of the tracker before the first frame, which would otherwise wait for it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from microbot_ros.tracking.tracker import Tracker
 
 @cache
 def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
-    """Run every path of the tracker once on small pictures of that `dtype`.
+    """Run every path of the tracker once on small pictures of this `dtype`.
 
-    Compiled code is kept on disk, so this takes some ten seconds once and a fraction of a second
-    afterwards. Call it before frames come.
+    Compiled code is cached on disk, so that this takes some ten seconds once and a fraction of a
+    second afterwards. Call it before frames arrive.
     """
-    # Needed where two particles compete for a detection; loading them would stall that frame.
+    # Needed when two particles compete for a detection; loading them would delay that frame.
     import scipy.optimize
     import scipy.sparse.csgraph  # noqa: F401
 
@@ -30,13 +30,13 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
     for shape, cap in (('round', 0.0), ('round', 40.0), ('any', 0.0)):
         settings = TrackerSettings(shape=shape, diameter_px=10)
         scale = 1 if dtype is np.uint8 else 64
-        # One more than it takes to name a particle.
+        # One frame more than needed to name a particle.
         frames = [
             (_discs(rng, cap) * scale).astype(dtype) for _ in range(settings.confirm_frames + 1)]
         tracker = Tracker(settings, learn(frames, settings))
         for k, frame in enumerate(frames):
             tracker.update(frame, float(k))
-    # Whoever points at something has frames coming.
+    # A kind may be taught while frames arrive.
     taught, _ = like(TrackerSettings(), frames[0], 45.0, 80.0)
     tracker.teach(taught)
     for k, frame in enumerate(frames):
@@ -44,7 +44,7 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
 
 
 def _discs(rng: np.random.Generator, cap: float) -> np.ndarray:
-    """Discs, one side of each darker by `cap`: enough to see shaking."""
+    """Return a picture of discs, one side of each darker by `cap`: enough to detect shaking."""
     y, x = np.mgrid[0:160, 0:320]
     picture = 150 + rng.normal(0, 1, x.shape)
     for k, angle in enumerate((0.4, 2.1, -1.2, 3.0, -2.5)):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from schemas import conforming
 
 from microbot_ros.cli.discover.discover import command
 from microbot_ros.common.errors import InputError
@@ -102,10 +103,8 @@ def test_several_sessions_are_explained_together(film):
 
 
 def test_json_is_complete_and_finite(consistent):
-    content = json.loads(json.dumps(consistent.as_json(), allow_nan=False))
-    assert set(content) >= {
-        'verdict', 'effects', 'gap', 'unexplained', 'not_supported', 'baseline',
-        'next_experiment'}
+    content = conforming(
+        'discovery/verdict', json.dumps(consistent.as_json(), allow_nan=False))
     particle = content['baseline']['particles']['0']
     assert particle['force_pN']['value'] == pytest.approx(
         6 * np.pi * 1.245 * 4.6e-3 * particle['v_um_s']['value'], rel=1e-6)

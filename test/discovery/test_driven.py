@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from schemas import conforming
 from scipy.special import softmax
 
 from bench import _driven_rig
@@ -444,6 +446,7 @@ def test_it_ends_when_it_is_settled_and_says_how_it_came_to_that():
     assert [(e.id, e.status) for e in found.effects] == [('coil_gain_mismatch', 'established')]
     assert session.tracks.t[-1] <= driven.seconds
     told = as_json(driven)
+    conforming('discovery/verdict', json.dumps({**found.as_json(), **told}, allow_nan=False))
     assert told['decided'] == 'settled'
     assert told['experiments'][-1]['odds']['coil_gain_mismatch'] > 0.98
     page = section(driven)

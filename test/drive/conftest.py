@@ -3,9 +3,9 @@
 import pytest
 
 from bench._emulator import FULL_SCALE_A, LIMITS, EmulatorProcess, Served
+from bench._virtual import VirtualClock
 from microbot_ros.drive.amplifier import Amplifier, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.emulator.virtual import VirtualClock
 from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.polled import PolledAmplifier
 

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import pytest
 
 from bench._emulator import FULL_SCALE_A, MEASURED, Served
+from bench._virtual import VirtualAmplifier
 from microbot_ros.drive import adapter as adapters
 from microbot_ros.drive.adapter import BY_ID, Adapter, adapter_at
 from microbot_ros.drive.amplifier import amplifier_class
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import PortMissingError, WrongDeviceError
 
 OWN, OTHER = Adapter(0x0403, 0x6001, 'A6008isP'), Adapter(0x1A86, 0x7523, '')

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bench._emulator import MEASURED
+from bench._virtual import VirtualAmplifier
 from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import (
     READ_BACK_S,
@@ -17,7 +18,6 @@ from microbot_ros.drive.amplifier import (
     Zero,
     amplifier_class,
 )
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,

@@ -2,9 +2,9 @@
 
 import pytest
 
+from bench._virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.emulator.process import DEVICES
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.gate import Limits, Reason
 
 ZERO = (0.0,) * 4

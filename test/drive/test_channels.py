@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
+from bench._virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.emulator.process import DEVICES
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.gate import Gate, Limits, Reason
 
 FULL_SCALE_A = 2.0

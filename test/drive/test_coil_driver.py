@@ -6,12 +6,12 @@ import threading
 import numpy as np
 import pytest
 
+from bench._virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.common.errors import InputError
 from microbot_ros.drive import coil_driver, polled
 from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.coil_driver import STOPPED, CoilDriver
 from microbot_ros.drive.emulator.process import DEVICES
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.errors import NoAnswerError
 from microbot_ros.drive.gate import UNATTENDED_S, Limits, Reason
 from microbot_ros.drive.rotation import Turning

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench._virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.emulator.process import DEVICES
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.gate import Gate, Limits, Reason
 
 LIMITS = Limits(

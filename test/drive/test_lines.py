@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bench._virtual import VirtualAmplifier
 from microbot_ros.drive.amplifier import READ_BACK_S, Amplifier, Zero
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,

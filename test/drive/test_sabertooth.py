@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench._emulator import FULL_SCALE_A, LIMITS, Served
+from bench._virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.cli.rig import doctor
 from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import Watchdog, Zero
@@ -17,7 +18,6 @@ from microbot_ros.drive.amplifiers.sabertooth.driver import SabertoothAmplifier
 from microbot_ros.drive.amplifiers.sabertooth.emulated import Controllers
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.emulator.coils import Coils
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.errors import NoAnswerError, PortBusyError, PortLostError
 from microbot_ros.drive.gate import Limits, Reason
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench._virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.amplifier import Zero, amplifier_class
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import Limits
 

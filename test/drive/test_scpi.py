@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from bench._virtual import VirtualAmplifier
 from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.amplifiers.scpi import codec
 from microbot_ros.drive.amplifiers.scpi.driver import ScpiAmplifier
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import PortLostError, WrongDeviceError
 
 LINES = ('a', 'b', 'c', 'd')

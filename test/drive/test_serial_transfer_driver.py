@@ -14,10 +14,10 @@ import pytest
 import serial
 from serial import rfc2217
 
+from bench._virtual import VirtualAmplifier
 from microbot_ros.drive.amplifier import AGAIN_S, Swing, Zero
 from microbot_ros.drive.amplifiers.serial_transfer import codec
 from microbot_ros.drive.amplifiers.serial_transfer.driver import SerialTransferAmplifier
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import (
     NoAnswerError,
     PortLostError,

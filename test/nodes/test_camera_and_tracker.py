@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import threading
 from functools import partial
@@ -16,6 +15,7 @@ from command_line import microbot
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PointStamped, TwistStamped, Vector3Stamped
 from rclpy.parameter import Parameter
+from schemas import conforming
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 from std_msgs.msg import Header, String
 
@@ -76,22 +76,23 @@ def test_what_is_pointed_at_is_followed_and_its_name_reaches_who_comes_later(
         graph.until(lambda: len(taught) > before)
         return taught[-1]
     for frame_id, x, y, reason in (
-            ('camera', 5.0, 5.0, 'nothing stands out'), ('map', 1.0, 1.0, 'expected the frame'),
-            ('camera', math.nan, 5.0, 'expected finite coordinates'),
+            ('camera_pixels', 5.0, 5.0, 'nothing stands out'),
+            ('camera', 1.0, 1.0, 'expected the frame'),
+            ('camera_pixels', math.nan, 5.0, 'expected finite coordinates'),
             ('workspace', math.inf, 0.0, 'expected finite coordinates')):
         nothing = point(frame_id, x, y)
         assert nothing.level == DiagnosticStatus.WARN
         assert reason in nothing.message
     x, y = PLACE[1] / 0.45e-6 * [1, -1] + [319.5, 239.5]
     graph.nodes['tracker'].set_parameters([Parameter('example_kind', value='swimmer')])
-    answer = point('camera', round(x), round(y))
+    answer = point('camera_pixels', round(x), round(y))
     assert answer.level == DiagnosticStatus.OK, answer.message
     assert {value.key: value.value for value in answer.values}['example'] == 'like'
     graph.until(lambda: particles[-1].fields[-1].name == 'kind' and particles[-1].width > 0)
     kinds = graph.hear(String, 'tracker/kinds', LATCHED)
     graph.until(lambda: bool(kinds))
     points = messages.points(particles[-1], np.dtype([('kind', '<f4')]))
-    assert [json.loads(kinds[-1].data)[int(kind)] for kind in points['kind']] == (
+    assert [conforming('tracker/kinds', kinds[-1].data)[int(kind)] for kind in points['kind']] == (
         ['swimmer'] * particles[-1].width)
 
 
@@ -148,7 +149,7 @@ def test_frames_go_on_while_the_tracker_is_taught(
     taught = graph.hear(DiagnosticStatus, 'tracker/taught', LATCHED)
     examples = graph.probe.create_publisher(PointStamped, 'tracker/like', 10)
     graph.until(examples.get_subscription_count)
-    examples.publish(PointStamped(header=Header(frame_id='camera')))
+    examples.publish(PointStamped(header=Header(frame_id='camera_pixels')))
     graph.until(begun.is_set)
     before = len(particles)
     graph.until(lambda: len(particles) >= before + 10)

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray, PoseStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from numpy.lib.recfunctions import repack_fields
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
+from schemas import conforming
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
@@ -220,7 +220,8 @@ def test_what_there_is_is_latched(ros: Any) -> None:
     loop = Loop(ros)
     listed = loop.graph.hear(String, 'controller/controllers', LATCHED)
     loop.graph.until(lambda: listed)
-    assert {'hold', 'open_loop', 'waypoint'} <= set(yaml.safe_load(listed[0].data))
+    names = set(conforming('controller/controllers', listed[0].data))
+    assert {'hold', 'open_loop', 'waypoint'} <= names
 
 
 @pytest.mark.parametrize(('controller', 'refused'), [
@@ -353,7 +354,7 @@ def test_to_cancel_is_never_refused(ros: Any) -> None:
 
 def test_the_list_of_controllers_tells_what_each_takes(ros: Any) -> None:
     loop = Loop(ros)
-    listed = json.loads(loop.graph.call(
+    listed = conforming('controller/list_controllers', loop.graph.call(
         Trigger, 'controller/list_controllers', Trigger.Request()).message)
     takes = {one['name']: set(one['takes']) for one in listed}
     assert takes['hold'] == takes['manual'] == takes['open_loop'] == set()

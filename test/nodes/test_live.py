@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from schemas import conforming
 from std_msgs.msg import String
 
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
@@ -115,6 +116,7 @@ def test_discover_watches_and_what_it_proposes_is_used_while_running(
     assert status == 0, error
     assert 'uniform_drift' in out
     graph.until(lambda: heard)
+    conforming('discovery/verdict', heard[0].data)
     proposed = re.findall(r'to use it: microbot (.*)', error)
     assert len(proposed) == 2
     for line in proposed:

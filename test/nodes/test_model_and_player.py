@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.loop.points import ESTIMATE, PARTICLE
 from microbot_ros.nodes.base import messages
-from microbot_ros.nodes.base.playback_publishers import PlaybackPublishers
+from microbot_ros.nodes.player import PlaybackPublishers
 from microbot_ros.session import write_session
 
 SPEED, PHI = np.array([3.7e-6, 4.9e-6]), np.array([-1.1, 2.6])

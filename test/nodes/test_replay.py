@@ -24,6 +24,7 @@ from in_process import command, own_context
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
+from schemas import conforming
 from sensor_msgs.msg import MagneticField, PointCloud2
 
 from microbot_ros.common.errors import InputError
@@ -372,6 +373,9 @@ def steered_live(ros: Any, folder: Path) -> Path:
     writer = graph.nodes['recorder']._writer
     graph.until(lambda: writer.status().counts.get('/loop/log', 0) >= 2 * FRAMES)
     graph.nodes['recorder'].trigger_deactivate()
+    with open_recording(out) as recording:
+        for line in recording.messages(['/loop/log']):
+            conforming('loop/log', recording.decode(line).data)
     return out
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import array
 from collections.abc import Collection, Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -26,7 +26,9 @@ from microbot_ros.cameras.camera import CameraFormat
 from microbot_ros.common.errors import clipped
 from microbot_ros.common.records import Commands
 from microbot_ros.loop.points import ESTIMATE
-from microbot_ros.tracking.locate.colour import Weights, weighted
+
+if TYPE_CHECKING:
+    from microbot_ros.tracking.locate.colour import Weights
 
 SECOND_NS = 1_000_000_000
 
@@ -35,6 +37,10 @@ WORKSPACE = 'workspace'
 
 CAMERA = 'camera'
 """Frame of the picture: x right, y down, z the way the camera looks; from its centre."""
+
+PIXELS = 'camera_pixels'
+"""Name of pixel coordinates in a point: the centre of the first pixel at 0, 0, y down. It is no
+frame of tf, in which lengths are metres (REP 103)."""
 
 TRUTH = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('speed', '<f4'),
@@ -203,6 +209,8 @@ def gray(message: Image, colour: Weights | None = None) -> np.ndarray:
     rows = rows.reshape(message.height, message.step)[:, :width]
     pixels = np.ascontiguousarray(rows).view(depth).reshape(message.height, message.width, -1)
     if colour is not None:
+        from microbot_ros.tracking.locate.colour import weighted  # brings all of the tracker
+
         if message.encoding not in _TO_GRAY:
             raise MessageError(f'expected colours, by which the kinds are told; received '
                                f'{message.encoding}')

@@ -147,7 +147,7 @@ class RigClient:
         if stamp_ns >= 2**31 * 10**9:
             raise InputError('teach', f'expected a stamp before 2038; received {stamp_ns} ns')
         message = PointStamped(point=Point(x=x, y=y), header=Header(
-            frame_id=messages.CAMERA, stamp=messages.stamp_at(stamp_ns)))
+            frame_id=messages.PIXELS, stamp=messages.stamp_at(stamp_ns)))
         asked = {'example': topic.partition('/')[2], 'stamp_ns': str(stamp_ns), 'x': str(x),
                  'y': str(y)}
         before = self.taught

@@ -28,7 +28,7 @@ from sensor_msgs.msg import (
 from std_msgs.msg import Bool, String
 
 from microbot_ros.cockpit.rig import ParticleListener, PictureListener, zero_in
-from microbot_ros.common import strict_yaml, units
+from microbot_ros.common import units
 from microbot_ros.loop.points import GOAL, PARTICLE, PLACE
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import LATCHED, RigNode
@@ -210,10 +210,7 @@ class RigView:
         self._progress = time.monotonic(), {**values, 'sentence': message.message}
 
     def _on_controllers(self, message: String) -> None:
-        try:
-            summaries = strict_yaml.load(message.data)[1] or {}
-        except strict_yaml.YamlError as error:
-            raise messages.MessageError(f'controller/controllers: {error}') from None
+        summaries = _json_in(message.data, 'controller/controllers')
         if not isinstance(summaries, dict):
             raise messages.MessageError('controller/controllers: expected a summary by name')
         self._available = [{'name': str(name), 'summary': str(summary)}

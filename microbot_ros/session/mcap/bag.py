@@ -1,4 +1,4 @@
-"""`metadata.yaml`: what rosbag2 wants to know of a recording before it opens the files."""
+"""`metadata.yaml`, which rosbag2 reads before it opens the files of a recording."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ METADATA_FILE = 'metadata.yaml'
 
 @cache
 def typestore() -> Any:
-    """The message definitions of ROS 2 Jazzy."""
+    """Return the message definitions of ROS 2 Jazzy."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def whole(data: bytes, msgtype: str) -> bytes:
-    """Serialised `data` of a message of type `msgtype` without what may follow it.
+    """Return the serialised `data` of a message of type `msgtype` without trailing bytes.
 
-    rclpy reserves room by an estimate.
+    rclpy reserves memory by an estimate and may return more than the message.
     """
     definition = typestore().get_msgdef(msgtype)
     read = definition.deserialize_cdr_le if data[1] & 1 else definition.deserialize_cdr_be
@@ -33,7 +33,7 @@ def whole(data: bytes, msgtype: str) -> bytes:
 
 
 def metadata_text(summaries: dict[Path, Summary]) -> str:
-    """The content of `metadata.yaml` for the files of a recording, in order."""
+    """Return the content of `metadata.yaml` for the files of a recording, `summaries` in order."""
     counts: Counter[str] = Counter()
     types: dict[str, str] = {}
     for summary in summaries.values():

@@ -1,4 +1,4 @@
-"""Particles as sensor_msgs/PointCloud2: one point a particle, fields by name."""
+"""Particles as sensor_msgs/PointCloud2: one point per particle, fields by name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OPTIONAL = ('theta', 'sigma')
 
 
 def is_cloud(content: Any) -> bool:
-    """Whether `content`, a decoded message, is a PointCloud2 whose data agree with its fields."""
+    """Return whether a decoded message `content` is a PointCloud2 whose data match its fields."""
     return (
         getattr(content, '__msgtype__', '') == 'sensor_msgs/msg/PointCloud2'
         and len(content.data) == content.width * content.height * content.point_step
@@ -26,18 +26,18 @@ def is_cloud(content: Any) -> bool:
 
 
 def cloud_table(content: Any) -> np.ndarray:
-    """The points of a decoded cloud, `content`: (n,) with a named column for each of its fields.
-    """
+    """Return the points of a decoded cloud `content`, (n,) with a named column per field."""
     fields = tuple((field.name, field.datatype, field.offset) for field in content.fields)
     dtype = _dtype(fields, content.point_step, bool(content.is_bigendian))
     return np.frombuffer(content.data, dtype)
 
 
 def cloud_points(content: Any, path: Path, topic: str) -> dict[str, np.ndarray]:
-    """The columns `id`, `x`, `y` [m], `theta` [rad] and `sigma` [m] of a cloud, (n,) each.
+    """Return the columns `id`, `x`, `y` [m], `theta` [rad] and `sigma` [m] of a cloud, (n,) each.
 
-    `content` is the decoded message on `topic`. NaN for `theta` and `sigma` where the cloud has no
-    such field; InputError where it lacks another or its size contradicts its fields.
+    `content` is the decoded message on `topic` of the recording `path`. `theta` and `sigma` are
+    NaN without such a field. Raises InputError if another field is missing or the size does not
+    match.
     """
     there = {field.name for field in content.fields}
     if not there.issuperset(_REQUIRED):

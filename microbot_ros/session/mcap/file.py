@@ -26,7 +26,7 @@ _FOOTER_BYTES = 9 + 20 + len(MAGIC)
 
 
 class Message(NamedTuple):
-    """One recorded message: its `topic` and `type`, time of receipt `t_ns` [ns], CDR `data`."""
+    """Recorded message: its `topic` and `type`, time of receipt `t_ns` [ns], CDR `data`."""
 
     topic: str
     type: str
@@ -35,11 +35,10 @@ class Message(NamedTuple):
 
 
 class McapFile:
-    """An MCAP file that needs no index: one is made where a crash left none.
+    """MCAP file at `path` that needs no index: one is made if a crash left none.
 
-    `complete` says whether the file had a sound one. A record that a crash left unfinished, and
-    what follows it, is not there for this reader. `summary` holds schemas, channels, chunks and
-    counts.
+    `complete` tells whether it had a valid one. An unfinished record and all after it are ignored.
+    `summary` holds schemas, channels, chunks and counts.
     """
 
     def __init__(self, path: Path) -> None:
@@ -63,9 +62,10 @@ class McapFile:
     def messages(
         self, topics: Collection[str] | None, start_ns: int, end_ns: int,
     ) -> Iterator[Message]:
-        """Messages of the topics (None: all) with start_ns <= t_ns < end_ns, in order of receipt.
+        """Yield messages of `topics` (None: all), `start_ns` <= t_ns < `end_ns`, as received.
 
-        Opens the chunks that hold some, each when its time comes. InputError for a broken one.
+        Only chunks that hold such messages are read, each when needed. Raises InputError for a
+        damaged one.
         """
         wanted = {
             id_: (channel.topic, self.summary.schemas[channel.schema_id].name)
@@ -80,7 +80,7 @@ class McapFile:
              if chunk.message_end_time >= start_ns and chunk.message_start_time < end_ns
              and (not chunk.message_index_offsets or chunk.message_index_offsets.keys() & wanted)),
             key=attrgetter('message_start_time'))
-        # Chunks overlap in time: what the next may still precede waits.
+        # Chunks overlap in time: messages wait while the next chunk may hold earlier ones.
         waiting: list[Message] = []
         limits = [*(chunk.message_start_time for chunk in chunks[1:]), end_ns]
         for chunk, limit in zip(chunks, limits, strict=False):
@@ -91,7 +91,7 @@ class McapFile:
             del waiting[:ready]
 
     def times(self, topic: str) -> np.ndarray:
-        """Times of receipt (n,) [ns] of a topic, ascending, from the message indexes."""
+        """Return times of receipt (n,) [ns] of a `topic`, ascending, from the message indexes."""
         ids = {id_ for id_, channel in self.summary.channels.items() if channel.topic == topic}
         chunks = self.summary.chunk_indexes
         if not chunks or not all(chunk.message_index_offsets for chunk in chunks):
@@ -104,21 +104,21 @@ class McapFile:
         return np.sort(np.concatenate(found))
 
     def attachments(self) -> Iterator[Attachment]:
-        """The files kept inside the file."""
+        """Yield the attached files."""
         with self._sound():
             for index in self.summary.attachment_indexes:
                 yield Attachment.read(stream_at(self._file, index.offset))
 
     def metadata(self) -> Iterator[Metadata]:
-        """The named keys and values kept inside the file."""
+        """Yield the named sets of keys and values."""
         with self._sound():
             for index in self.summary.metadata_indexes:
                 yield Metadata.read(stream_at(self._file, index.offset))
 
     def repair(self) -> None:
-        """Replace an unfinished last record by the index that was never written.
+        """Replace an unfinished last record by the missing index.
 
-        InputError where the recorder is still at work.
+        Raises InputError if the recorder is still writing.
         """
         if self.complete:
             return
@@ -154,7 +154,7 @@ class McapFile:
 
     @contextmanager
     def _sound(self) -> Iterator[None]:
-        """InputError for what is raised where bytes are damaged."""
+        """Convert errors of damaged bytes to InputError."""
         try:
             yield
         except InputError:
@@ -178,7 +178,7 @@ class McapFile:
     def _bare_messages(
         self, wanted: dict[int, tuple[str, str]], start_ns: int, end_ns: int,
     ) -> Iterator[Message]:
-        """The messages of a file written without chunks, in the order of the file."""
+        """Yield the messages of a file without chunks, in the order of the file."""
         with self._sound():
             for place in file_records(self._file):
                 if place.opcode == Opcode.MESSAGE:

@@ -1,4 +1,4 @@
-"""A session out of a recording: which topics become tracks and commands, on which clock."""
+"""A session from a recording: topics that become tracks and commands, and their clock."""
 
 from __future__ import annotations
 
@@ -19,20 +19,19 @@ from microbot_ros.session.tables.plausibility import check_session
 CUT_OFF = ('The recording was cut off: what it held after the last whole chunk is lost; '
            '`microbot info --repair` writes its index.')
 _FARTHEST_STAMP = 60_000_000_000
-"""Exposure and receipt lie within this [ns] of each other, or they are not on one clock."""
+"""Choice: largest difference [ns] of exposure and receipt on one clock."""
 
 
 def session_of(recording: Recording) -> Session:
-    """The session in a recording, its times in seconds since the first message.
+    """Return the session in a `recording`, with times in seconds since the first message.
 
-    Tracks come from `particles` at the time of exposure (`header.stamp`); rows that hold no
-    position are gaps. Commands come from `field/command` and, where particles roll,
-    `field/rotating`, at the time of receipt: the stamp of a command is the exposure it answers,
-    not the moment it takes force. Where `coils/applied` shows that the gate let no current
-    through, the command is zero. A recording without commands gives `field/applied`
-    instead, or none. Conditions come from the recording's metadata named `session`.
-
-    InputError where there are no tracks, or a topic holds what it should not.
+    Tracks come from `particles` at the time of exposure (`header.stamp`); rows without a position
+    are gaps. Commands come from `field/command` and, for rolling particles, `field/rotating`, at
+    the time of receipt: the stamp of a command is the exposure it answers, not the time it takes
+    effect. Where `coils/applied` shows that the gate passed no current, the command is zero. A
+    recording without commands gives `field/applied` instead, or none. Conditions come from the
+    recording's metadata `session`. Raises InputError without tracks, or if a topic has unexpected
+    content.
     """
     particles = recording.topic('particles', 'sensor_msgs/msg/PointCloud2')
     if particles is None:
@@ -57,7 +56,7 @@ def session_of(recording: Recording) -> Session:
 
 
 class _Sightings:
-    """The clouds of `particles`, checked as they come."""
+    """The clouds of `particles`, checked as they are added."""
 
     def __init__(self, recording: Recording, topic: str) -> None:
         self._recording, self._topic = recording, topic
@@ -103,7 +102,7 @@ class _Sightings:
 
 @dataclass
 class _Series:
-    """The values of one topic over time."""
+    """Values of one topic over time."""
 
     name: str
     topic: str
@@ -116,7 +115,7 @@ class _Series:
         self.values.append(self.value(content))
 
     def arrays(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-        """Times of receipt (K,) [s] and values (K, n)."""
+        """Return times of receipt (K,) [s] and values (K, n)."""
         values = np.array(self.values, dtype=float)
         if not np.isfinite(values).all():
             raise InputError(recording.path, f'{self.topic}: expected finite values')
@@ -159,14 +158,14 @@ def commands_of(series: dict[str, tuple[np.ndarray, np.ndarray]]) -> Commands:
 
 
 def _held(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Each value held until the next; zero before the first."""
+    """Return each value held until the next; zero before the first."""
     return np.vstack([np.zeros(values.shape[1]), values])[
         np.searchsorted(times, t, side='right')]
 
 
 def changes(t: np.ndarray, b: np.ndarray, frequency: np.ndarray | None,
             tilt: np.ndarray | None = None) -> Commands:
-    """Commands of fields `b` (K, 2) [T] without the rows that repeat the one before.
+    """Return commands of fields `b` (K, 2) [T] without rows that repeat the previous one.
 
     `t` (K,) [s] ascends; `frequency` (K,) [Hz] and `tilt` (K,) [rad], or None.
     """
@@ -188,7 +187,7 @@ def _conditions(recording: Recording, rolling: bool) -> Conditions:
 
 
 def stamp_ns(content: Any) -> int:
-    """The stamp [ns] in the header of `content`, a decoded message."""
+    """Return the stamp [ns] in the header of a decoded message `content`."""
     stamp = content.header.stamp
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 

@@ -1,4 +1,4 @@
-"""Recording while the loop runs: nothing waits for the disk, nothing that matters is dropped."""
+"""Recording while the loop runs: never waits for the disk, drops nothing essential."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from microbot_ros.session.mcap.bag import typestore
 from microbot_ros.session.mcap.recording import is_topic
 from microbot_ros.session.mcap.store import MIB, Priority, RecordedTopic, Store
 
-# A class of messages is dropped while more than this waits in memory, or less is free on disk.
+# Choices: a class of messages is dropped while more than this waits in memory, or less than this
+# is free on disk.
 MOST_QUEUED = {Priority.OVERLAY: 32 * MIB, Priority.FRAME: 256 * MIB, Priority.DATA: 512 * MIB}
 LEAST_FREE = {Priority.OVERLAY: 1024 * MIB, Priority.FRAME: 256 * MIB, Priority.DATA: 0}
 _FRAMES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
-_PERIOD = 0.05
-_NICENESS = 5
+_PERIOD, _NICENESS = 0.05, 5  # choices: time between two drains [s], niceness of the thread
 
 
 @dataclass(frozen=True)
 class RecorderStatus:
-    """How a recording is doing; `problem` is '' or one sentence for people.
+    """Status of a recording; `problem` is '' or one sentence.
 
-    Messages by topic: `counts` taken, `dropped` given up. `bytes_written` on disk, `queued_bytes`
-    in memory, `free_bytes` left on the disk.
+    Messages by topic: `counts` taken, `dropped` lost. `bytes_written` to disk, `queued_bytes` in
+    memory, `free_bytes` on the disk.
     """
 
     counts: dict[str, int]
@@ -41,13 +41,13 @@ class RecorderStatus:
 
 
 class RecordingWriter:
-    """A recording of serialised ROS messages in rosbag2's MCAP layout.
+    """Recording of serialised ROS messages in rosbag2's MCAP layout, in a new or empty `folder`.
 
-    `write` only queues; a thread of the writer's own compresses and stores. What was queued is
-    on disk within a second, so a crash costs no more. Where the disk is slow or full, overlays
-    are dropped first, then frames; anything else is kept in memory until the disk takes it, up
-    to 512 MiB: hours of tracks and commands. What is dropped is counted. The folder must be new
-    or empty; it holds `<name>_0.mcap`, `<name>_1.mcap`, …, and at the end `metadata.yaml`.
+    `write` only queues; a separate thread compresses and stores. Queued messages are on disk
+    within a second, so that a crash loses no more. If the disk is slow or full, overlays are
+    dropped first, then frames; other messages stay in memory until the disk takes them, up to 512
+    MiB: hours of tracks and commands. Dropped messages are counted. The folder holds
+    `<name>_0.mcap`, `<name>_1.mcap`, …, and at the end `metadata.yaml`.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -72,9 +72,10 @@ class RecordingWriter:
         self._thread.start()
 
     def write(self, topic: str, msgtype: str, t_ns: int, data: bytes) -> None:
-        """Queue one message: its topic with the leading slash, its type `msgtype`, the time of
-        receipt `t_ns` [ns] and its CDR `data`. ValueError for a type that ROS 2 Jazzy does not
-        define, RuntimeError after `close`.
+        """Queue one message of `topic` (with the leading slash) and type `msgtype`.
+
+        `t_ns` [ns] is the time of receipt, `data` the CDR bytes. Raises ValueError for a type that
+        ROS 2 Jazzy does not define, RuntimeError after `close`.
         """
         if self._closing.is_set():
             raise RuntimeError('the recording is closed')
@@ -87,9 +88,7 @@ class RecordingWriter:
             self._queued_bytes += len(data)
 
     def attach(self, name: str, content: str | bytes) -> None:
-        """Keep a file's `content` inside the recording: parameters, `rig.yaml`, `model.yaml`,
-        notes.
-        """
+        """Store a file `name` with this `content` in the recording, such as `rig.yaml`."""
         now = time.time_ns()
         data = content.encode() if isinstance(content, str) else content
         media = 'text/plain' if isinstance(content, str) else 'application/octet-stream'
@@ -97,12 +96,12 @@ class RecordingWriter:
             self._queue.append(Attachment(now, now, name, media, data))
 
     def describe(self, name: str, entries: dict[str, str]) -> None:
-        """Keep named `entries` inside the recording: conditions, versions, a title."""
+        """Store `entries` under a `name` in the recording: conditions, versions, a title."""
         with self._lock:
             self._queue.append(Metadata(name, entries))
 
     def status(self) -> RecorderStatus:
-        """Counts and sizes so far."""
+        """Return counts and sizes so far."""
         store = self._store
         with self._lock:
             dropped = dict(store.dropped + self._dropped)
@@ -112,7 +111,7 @@ class RecordingWriter:
             )
 
     def close(self) -> None:
-        """Store all that is queued, the indexes and `metadata.yaml`; `status` says what failed."""
+        """Store the queue, the indexes and `metadata.yaml`; `status` tells what failed."""
         self._closing.set()
         self._thread.join()
 
@@ -161,7 +160,7 @@ class RecordingWriter:
         return f'dropped for want of disk: {lost}' if lost else ''
 
     def _run(self) -> None:
-        # Niceness is a thread's own on Linux: what must be quick has the processor first.
+        # On Linux niceness applies to one thread, so that threads of the loop come first.
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         try:
             while not self._closing.wait(_PERIOD):

@@ -17,23 +17,23 @@ from microbot_ros.common.files import load_yaml, write_text
 from microbot_ros.session.mcap.bag import METADATA_FILE, metadata_text, typestore
 from microbot_ros.session.mcap.file import McapFile, Message
 
-_FOREVER = 2**63
+_FOREVER = 2**63  # later than any time of receipt [ns]
 
 
 @dataclass(frozen=True)
 class Topic:
-    """What a recording holds of one topic: the `type` and the `count` of its messages."""
+    """`type` of a recorded topic and the `count` of its messages."""
 
     type: str
     count: int
 
 
 class Recording:
-    """A recording, open for reading; a context manager.
+    """Recording at `path`, open for reading; a context manager.
 
-    `topics` by name; `start_ns` and `end_ns`, the times of receipt of the first and the last
-    message (0 where there is none); `complete` is False for a recording that was cut off, of
-    which every whole chunk is there.
+    `topics` by name; `start_ns` and `end_ns` are the times of receipt of the first and last
+    message (0 without messages); `complete` is False for a recording that was cut off, of which
+    every whole chunk is available.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -57,9 +57,9 @@ class Recording:
         )
 
     def topic(self, name: str, msgtype: str) -> str | None:
-        """The recorded topic that plays a role, in whatever namespace; None where there is none.
+        """Return the recorded topic `name` in any namespace, or None.
 
-        InputError where there are several, or the topic is of another type than `msgtype`.
+        Raises InputError if there are several, or it has another type than `msgtype`.
         """
         found = [topic for topic in self.topics if is_topic(topic, name)]
         if len(found) > 1:
@@ -73,9 +73,9 @@ class Recording:
         self, topics: Collection[str] | None = None, start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[Message]:
-        """Messages of the topics (None: all) with start_ns <= t_ns < end_ns in order of receipt.
+        """Yield messages of `topics` (None: all), `start_ns` <= t_ns < `end_ns`, as received.
 
-        Lazy: only chunks that hold such messages are read. InputError where the data are broken.
+        Lazy: only chunks that hold such messages are read. Raises InputError for damaged data.
         """
         low, high = start_ns or 0, _FOREVER if end_ns is None else end_ns
         yield from heapq.merge(
@@ -83,29 +83,29 @@ class Recording:
         )
 
     def times(self, topic: str) -> np.ndarray:
-        """Times of receipt (n,) [ns] of a topic's messages, ascending; cheap."""
+        """Return times of receipt (n,) [ns] of a `topic`, ascending, without reading messages."""
         return np.sort(np.concatenate([file.times(topic) for file in self._files]))
 
     def decode(self, message: Message) -> Any:
-        """The message with its fields; arrays are numpy's. InputError where it does not fit."""
+        """Return the decoded `message` with NumPy arrays. Raises InputError if that fails."""
         if message.type not in typestore().types:
             raise InputError(self.path, f'{message.topic}: expected a type of ROS 2 Jazzy, '
                                         f'found {message.type}')
         try:
             return typestore().deserialize_cdr(message.data, message.type)
-        except Exception as error:  # whatever the generated decoder trips over
+        except Exception as error:  # the generated decoder raises errors of many types
             raise InputError(self.path, f'{message.topic}: expected a {message.type} '
                                         f'({type(error).__name__})') from None
 
     def attachments(self) -> dict[str, bytes]:
-        """The files kept inside the recording."""
+        """Return the attached files by name."""
         return {
             record.name: record.data for file in self._files
             for record in file.attachments()
         }
 
     def metadata(self) -> dict[str, dict[str, str]]:
-        """The named keys and values kept inside the recording."""
+        """Return the named sets of keys and values."""
         return {
             record.name: record.metadata for file in self._files
             for record in file.metadata()
@@ -151,16 +151,16 @@ class Recording:
 
 
 def open_recording(path: str | Path) -> Recording:
-    """A recording folder or `.mcap` file, finished or cut off by a crash.
+    """Open the recording folder or `.mcap` file `path`, finished or cut off by a crash.
 
-    Takes the index at the end of each file where there is one, else makes it from the chunks.
-    InputError for what is missing, empty, foreign, or mixed from several recordings.
+    The index at the end of each file is used, or made from the chunks. Raises InputError for files
+    that are missing, empty, of another format, or of several recordings.
     """
     return Recording(path)
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a path is for `open_recording` rather than a folder of CSV files."""
+    """Return whether `path` is a recording rather than a folder of CSV files."""
     return path.is_file() or (path / METADATA_FILE).exists() or any(path.glob('*.mcap'))
 
 
@@ -172,7 +172,7 @@ def _files(path: Path) -> list[Path]:
     if (path / METADATA_FILE).exists():
         return _listed_files(path / METADATA_FILE)
     files = sorted(path.glob('*.mcap'), key=_segment_number)
-    # A power cut can leave a file that has a name and no content yet.
+    # A power cut can leave an empty file.
     files = [file for file in files if file.stat().st_size] or files
     if not files:
         hint = '; sqlite3 bags must be converted first' if any(path.glob('*.db3')) else ''
@@ -205,7 +205,7 @@ def _segment_number(path: Path) -> tuple[int, str]:
 
 
 def is_topic(topic: str, name: str) -> bool:
-    """Whether a recorded `topic` is `name` in whatever namespace.
+    """Return whether a recorded `topic` is `name` in any namespace.
 
     '/particles' and '/rig/particles' are both 'particles'.
     """

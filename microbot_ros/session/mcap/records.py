@@ -1,4 +1,4 @@
-"""The records of an MCAP file and of its chunks, one after the other."""
+"""Records of an MCAP file and of its chunks, in sequence."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from microbot_ros.session.mcap.writer import MAGIC
 _LARGEST_CHUNK = 2**30
 _ALWAYS_READ = 2**26
 _DENSEST = 100
-"""A chunk may hold 64 MiB, in whatever file; more, up to 1 GiB, where the file is at least a
-hundredth of that. Writers of rosbag2 make chunks of 1 to 4 MiB, ours of less. What says that it
-is larger is damaged, or made to fill the memory."""
+"""Choices: a chunk may hold 64 MiB in any file, and up to 1 GiB in a file of a hundredth of that.
+
+Writers of rosbag2 make chunks of 1 to 4 MiB, this package smaller ones. A larger chunk is damaged
+or made to fill the memory.
+"""
 _HEAD = struct.Struct('<BQ')
 _MESSAGE = struct.Struct('<HIQQ')
 
 
 class RecordPlace(NamedTuple):
-    """Where a record is: its kind, `opcode`, its first byte, `start`, and its `content` up to
-    `end`.
-    """
+    """Place of a record: its `opcode`, first byte `start`, and its `content` up to `end`."""
 
     opcode: int
     start: int
@@ -39,7 +39,7 @@ class RecordPlace(NamedTuple):
 
 
 def file_records(file: BinaryIO) -> Iterator[RecordPlace]:
-    """Every whole record of a file, up to the first that a crash left unfinished."""
+    """Yield every whole record of a `file`, up to the first unfinished one."""
     size = file.seek(0, 2)
     position = len(MAGIC)
     while position + _HEAD.size <= size:
@@ -53,7 +53,7 @@ def file_records(file: BinaryIO) -> Iterator[RecordPlace]:
 
 
 def chunk_records(data: bytes) -> Iterator[RecordPlace]:
-    """Every record of a chunk's decompressed data; struct.error where they are cut."""
+    """Yield every record of a chunk's decompressed `data`; struct.error if they are cut."""
     position = 0
     while position < len(data):
         opcode, length = _HEAD.unpack_from(data, position)
@@ -63,8 +63,10 @@ def chunk_records(data: bytes) -> Iterator[RecordPlace]:
 
 
 def chunk_messages(data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
-    """Of every message in a chunk's data: channel, time [ns], start of its record, start and end
-    of what was sent."""
+    """Yield every message in a chunk's `data`.
+
+    Channel, time [ns], start of its record, start and end of the serialised bytes.
+    """
     for opcode, start, content, end in chunk_records(data):
         if opcode == Opcode.MESSAGE:
             channel, _, t_ns, _ = _MESSAGE.unpack_from(data, content)
@@ -72,9 +74,9 @@ def chunk_messages(data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
 
 
 def stream_at(file: BinaryIO, start: int) -> ReadDataStream:
-    """The content of the record at byte `start` of a file, for the readers of the mcap package.
+    """Return the content of the record at byte `start` of a `file`, for the mcap package.
 
-    McapError for a record that does not lie inside the file.
+    Raises McapError for a record that does not lie inside the file.
     """
     size = file.seek(0, 2)
     if not 0 <= start <= size - _HEAD.size:
@@ -87,8 +89,10 @@ def stream_at(file: BinaryIO, start: int) -> ReadDataStream:
 
 
 def chunk_data(file: BinaryIO, index: ChunkIndex) -> bytes:
-    """The decompressed content of a chunk; McapError for one that no memory should hold, or that
-    holds more or less than it says."""
+    """Return the decompressed content of a chunk at `index` of a `file`.
+
+    Raises McapError if it is too large or its size is not the stated one.
+    """
     chunk = Chunk.read(stream_at(file, index.chunk_start_offset))
     size, most = chunk.uncompressed_size, max(_ALWAYS_READ, _DENSEST * file.seek(0, 2))
     if size > min(most, _LARGEST_CHUNK):
@@ -102,9 +106,9 @@ def chunk_data(file: BinaryIO, index: ChunkIndex) -> bytes:
 
 
 def _decompressed(compression: str, data: bytes, size: int) -> bytes:
-    """What compressed `data` hold, at most one byte more than `size`."""
+    """Return decompressed `data`, at most one byte more than `size`."""
     if compression == 'zstd':
-        # Not at once: what a frame says of its own size would be believed.
+        # As a stream, so that the size stated in the frame is not trusted.
         with zstandard.ZstdDecompressor(max_window_size=_LARGEST_CHUNK).stream_reader(
                 data, read_across_frames=True) as stream:
             return bytes(stream.read(size + 1))

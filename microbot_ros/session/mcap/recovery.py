@@ -1,4 +1,4 @@
-"""The index of an MCAP file that a crash left without one, made from its data."""
+"""Index of an MCAP file that a crash left without one, made from its data."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ from microbot_ros.session.mcap.writer import (
 
 BROKEN = (McapError, zstandard.ZstdError, struct.error, ValueError, LookupError,
           OverflowError, MemoryError)
-"""What reading a damaged chunk raises."""
+"""Errors raised by reading a damaged chunk."""
 
 
 def recover_summary(file: BinaryIO) -> tuple[Summary, int]:
-    """The summary that the whole records at the head of a file amount to, and where they end.
+    """Return the summary of the whole records at the start of a `file`, and where they end.
 
-    Chunks are not opened but for the last, and for those of writers that keep channels inside.
+    Only the last chunk is opened, and those of writers that keep channels inside.
     """
     summary = empty_summary()
     chunk: ChunkIndex | None = None
@@ -70,7 +70,7 @@ def recover_summary(file: BinaryIO) -> tuple[Summary, int]:
             _note(file, summary, place)
         end = place.end
     if chunk is not None:
-        # Nothing whole follows it: its index may be short, its bytes may never have got to disk.
+        # No whole record follows: its index may be short, its bytes may not be on disk.
         end = chunk.chunk_start_offset + chunk.chunk_length
         chunk.message_index_offsets, chunk.message_index_length = {}, 0
         try:
@@ -81,7 +81,10 @@ def recover_summary(file: BinaryIO) -> tuple[Summary, int]:
 
 
 def complete_index(file: BinaryIO, index: ChunkIndex, end: int) -> int:
-    """Write the message index of the last chunk at `end` if it has none; its length."""
+    """Write the message index of the last chunk `index` to a `file` at `end`.
+
+    Return the length.
+    """
     if index.message_index_offsets:
         return 0
     found: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
@@ -109,7 +112,7 @@ def _chunk_index(file: BinaryIO, place: RecordPlace) -> ChunkIndex:
 
 
 def _note(file: BinaryIO, summary: Summary, place: RecordPlace) -> None:
-    """Enter a record that stands outside of chunks."""
+    """Add a record outside of chunks to the summary."""
     stream, length = stream_at(file, place.start), place.end - place.start
     if place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
         _declare(summary, place.opcode, stream)
@@ -136,7 +139,7 @@ def _declare(summary: Summary, opcode: int, stream: ReadDataStream) -> None:
 def _settle(
     file: BinaryIO, summary: Summary, index: ChunkIndex, counts: dict[int, int],
 ) -> None:
-    """Enter a chunk, looking inside where its message index or its channels are not outside."""
+    """Add a chunk, decompressed if its message index or its channels are not outside."""
     if not counts or not counts.keys() <= summary.channels.keys():
         data = chunk_data(file, index)
         for place in chunk_records(data):

@@ -1,4 +1,4 @@
-"""The files of a recording while it grows: chunks by priority, parts, a disk that may refuse."""
+"""Files of a growing recording: chunks by priority, segments, a disk that may refuse."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ from microbot_ros.session.mcap.chunk import ChunkBuilder, ClosedChunk
 from microbot_ros.session.mcap.writer import McapWriter
 
 MIB = 2**20
-CHUNK_BYTES = 4 * MIB
+CHUNK_BYTES = 4 * MIB  # choice: as the largest chunks of rosbag2
 FLUSH_SECONDS = 0.5
-"""Age at which a chunk goes to disk, full or not: half of the second a crash may cost."""
+"""Choice: age at which a chunk is written, half of the second that a crash may cost."""
 SYNC_SECONDS = 0.4
-"""How often what was written is made to outlast a power cut: for every chunk, a busy disk would
-be waited for twenty times a second."""
+"""Choice: time between two fdatasync. After every chunk, a busy disk would block twenty times a
+second.
+"""
+# Choices: size and duration from which a new file is begun, which bounds what one file can lose.
 SEGMENT_BYTES = 4096 * MIB
 SEGMENT_SECONDS = 600.0
 
 
 class Priority(IntEnum):
-    """What is given up first when the disk cannot keep up; data never are."""
+    """Order in which messages are dropped when the disk cannot keep up; data never are."""
 
     OVERLAY = 0
     FRAME = 1
@@ -37,7 +39,7 @@ class Priority(IntEnum):
 
 @dataclass(frozen=True)
 class RecordedTopic:
-    """A topic as it is recorded: its `schema` and `channel` records, and its priority."""
+    """A recorded topic: its `schema` and `channel` records, and its priority."""
 
     schema: Schema
     channel: Channel
@@ -45,10 +47,10 @@ class RecordedTopic:
 
 
 class Store:
-    """Keeps messages of each priority in chunks of their own, so that reading tracks does not
-    decompress frames, and what the disk refuses can be given up by priority.
+    """Files in `folder` with separate chunks for each priority.
 
-    Not thread-safe: one thread stores, others may read the public attributes.
+    Tracks can thus be read without decompressing frames, and refused chunks be dropped by
+    priority. Not thread-safe: one thread stores, others may read the public attributes.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -72,7 +74,7 @@ class Store:
         return sum(segment.size for segment in self._writers)
 
     def add(self, topic: RecordedTopic, t_ns: int, data: bytes) -> None:
-        """Take one message, received at `t_ns` [ns] with CDR `data`.
+        """Add a message of `topic`, received at `t_ns` [ns] with CDR `data`.
 
         It is on disk after the next `tick` that finds its chunk due.
         """
@@ -85,12 +87,12 @@ class Store:
             self._flush(topic.priority)
 
     def add_record(self, record: Attachment | Metadata) -> None:
-        """Take an attachment or metadata and write it at once."""
+        """Write an attachment or metadata `record` at once."""
         self._waiting.append((Priority.DATA, record))
         self._write()
 
     def tick(self) -> None:
-        """Write what is due, try again what was refused, begin a new file when it is time."""
+        """Write due chunks, retry refused ones, and begin a new file when it is time."""
         now = time.monotonic()
         self.free_bytes = shutil.disk_usage(self._folder).free
         for priority, builder in self._builders.items():
@@ -103,8 +105,10 @@ class Store:
             self._roll()
 
     def close(self, lost: Counter[str]) -> None:
-        """Write all that is left, what was dropped here and before (`lost`), the indexes and
-        `metadata.yaml`."""
+        """Write all remaining data, the indexes and `metadata.yaml`.
+
+        `lost` counts messages dropped before they were added, by topic.
+        """
         for priority in Priority:
             self._flush(priority)
         if dropped := self.dropped + lost:
@@ -162,7 +166,7 @@ class Store:
             self.counts.update(self._by_topic(item))
 
     def _drop(self, priorities: list[Priority]) -> None:
-        """Give up, and count, what of these waits."""
+        """Drop, and count, waiting chunks of these priorities."""
         for priority, item in self._waiting:
             if priority in priorities and isinstance(item, ClosedChunk):
                 self.dropped.update(self._by_topic(item))

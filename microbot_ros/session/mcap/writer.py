@@ -36,10 +36,10 @@ MAGIC = b'\x89MCAP0\r\n'
 
 
 class McapWriter:
-    """An MCAP file that is readable up to its last record at every moment.
+    """MCAP file at `path` that is readable up to its last record at any moment.
 
-    Every method appends whole records straight to the file or, where the disk refuses, raises
-    OSError and leaves the file as it was.
+    Every method appends whole records directly or, if the disk refuses, raises OSError and leaves
+    the file as it was.
     """
 
     def __init__(self, path: Path) -> None:
@@ -47,7 +47,7 @@ class McapWriter:
         self.summary = empty_summary()
         self.size = 0
         self._file = path.open('xb', buffering=0)
-        with suppress(OSError):  # some network drives know no locks
+        with suppress(OSError):  # some network drives have no locks
             fcntl.flock(self._file, fcntl.LOCK_EX)  # for as long as the process lives
         header = Header('ros2', f'microbot_ros {version("microbot_ros")}')
         try:
@@ -58,15 +58,15 @@ class McapWriter:
             raise
 
     def add_channel(self, schema: Schema, channel: Channel) -> None:
-        """Declare a topic before the first chunk that holds it."""
-        # Outside the chunks, so that a crashed file can be indexed without decompressing it.
+        """Declare a topic, its `schema` and `channel`, before the first chunk that holds it."""
+        # Outside the chunks, so that a cut-off file can be indexed without decompressing it.
         new = schema.id not in self.summary.schemas
         self._append((bytes_of(schema) if new else b'') + bytes_of(channel))
         self.summary.schemas[schema.id] = schema
         self.summary.channels[channel.id] = channel
 
     def add_chunk(self, closed: ClosedChunk) -> None:
-        """Append a chunk and the index of its messages."""
+        """Append a `closed` chunk and the index of its messages."""
         chunk = closed.chunk
         start, head = self.size, chunk_head(chunk)
         length = len(head) + len(chunk.data)
@@ -86,25 +86,25 @@ class McapWriter:
             self.summary, chunk.message_start_time, chunk.message_end_time, counts)
 
     def add_attachment(self, record: Attachment) -> None:
-        """Append a file within the file."""
+        """Append an attached file `record`."""
         start, block = self.size, bytes_of(record)
         self._append(block)
         self.summary.attachment_indexes.append(attachment_index(record, start, len(block)))
 
     def add_metadata(self, record: Metadata) -> None:
-        """Append named keys and values."""
+        """Append a `record` of named keys and values."""
         start, block = self.size, bytes_of(record)
         self._append(block)
         self.summary.metadata_indexes.append(MetadataIndex(start, len(block), record.name))
 
     def sync(self) -> None:
-        """Return when what was written would survive a power cut."""
+        """Return when all written data would survive a power cut."""
         os.fdatasync(self._file.fileno())
-        # Nobody reads it soon; left in memory it would push out what others do read.
+        # Drop it from the page cache, where it would displace data that is in use.
         os.posix_fadvise(self._file.fileno(), 0, self.size, os.POSIX_FADV_DONTNEED)
 
     def finish(self) -> None:
-        """Append the summary that lets readers find everything at once, and close the file."""
+        """Append the summary, by which readers find everything at once, and close the file."""
         try:
             self._append(closing_bytes(self.summary, self.size))
             self.sync()
@@ -129,7 +129,7 @@ class McapWriter:
 
 
 def empty_summary() -> Summary:
-    """The summary of a file without records."""
+    """Return the summary of a file without records."""
     summary = Summary()
     summary.statistics = Statistics(
         attachment_count=0, channel_count=0, channel_message_counts={}, chunk_count=0,
@@ -140,7 +140,7 @@ def empty_summary() -> Summary:
 
 
 def attachment_index(record: Attachment, start: int, length: int) -> AttachmentIndex:
-    """The entry in the summary of an attachment of `length` bytes at byte `start` of the file."""
+    """Return the summary entry of an attachment `record` of `length` bytes at byte `start`."""
     return AttachmentIndex(
         offset=start, length=length, log_time=record.log_time, create_time=record.create_time,
         data_size=len(record.data), name=record.name, media_type=record.media_type,
@@ -148,7 +148,7 @@ def attachment_index(record: Attachment, start: int, length: int) -> AttachmentI
 
 
 def count_messages(summary: Summary, start: int, end: int, counts: dict[int, int]) -> None:
-    """Add messages, `counts` by channel, received from `start` to `end` [ns], to a summary."""
+    """Add messages received from `start` to `end` [ns], `counts` by channel, to a `summary`."""
     statistics = summary.statistics
     assert statistics is not None
     first = not statistics.message_count
@@ -161,7 +161,7 @@ def count_messages(summary: Summary, start: int, end: int, counts: dict[int, int
 
 
 def closing_bytes(summary: Summary, start: int) -> bytes:
-    """All that follows the data of an MCAP file whose data end at byte `start`."""
+    """Return all bytes after the data of an MCAP file whose data end at byte `start`."""
     statistics = summary.statistics
     assert statistics is not None
     statistics.schema_count = len(summary.schemas)
@@ -189,7 +189,7 @@ def closing_bytes(summary: Summary, start: int) -> bytes:
 
 
 def chunk_head(chunk: Chunk) -> bytes:
-    """A chunk record up to its data, which are too large to be copied into it."""
+    """Return a `chunk` record up to its data, which are too large to be copied into it."""
     kind = chunk.compression.encode()
     fields = struct.pack(
         f'<QQQII{len(kind)}sQ', chunk.message_start_time, chunk.message_end_time,
@@ -198,7 +198,7 @@ def chunk_head(chunk: Chunk) -> bytes:
 
 
 def bytes_of(record: McapRecord) -> bytes:
-    """A record as it stands in a file."""
+    """Return the bytes of a `record` in a file."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()

@@ -1,1 +1,1 @@
-"""Playing a session, replaying what nodes took in, and comparing recordings."""
+"""Playing a session, replaying the inputs of nodes, and comparing recordings."""

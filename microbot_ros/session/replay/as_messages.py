@@ -1,4 +1,4 @@
-"""A session as the messages that its recording would have held."""
+"""A session as the messages of a recording."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _SECOND = 1_000_000_000
 
 
 class SessionMessages:
-    """A session to be read like a recording: its first row at 1 s of ROS time, since zero means
-    that no clock is known.
+    """Session that can be read like a recording.
 
-    Tracks are `particles`, one message a frame, without velocities. Commands are `field/command`,
-    or, for rolling particles, `field/rotating`.
+    Its first row is at 1 s of ROS time, since zero means an unknown clock. Tracks are `particles`,
+    one message per frame, without velocities. Commands are `field/command` or, for rolling
+    particles, `field/rotating`.
     """
 
     def __init__(self, session: Session) -> None:
@@ -51,10 +51,9 @@ class SessionMessages:
         self, topics: Collection[str] | None = None, start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[Message]:
-        """Messages of `topics` (None: all) from `start_ns` up to `end_ns` [ns] in order of time.
+        """Yield messages of `topics` (None: all) from `start_ns` up to `end_ns` [ns] by time.
 
-        As `Recording.messages` gives them; of one time, commands come before the particles they
-        move.
+        As `Recording.messages`; at equal times, commands come before the particles they move.
         """
         series = {
             COMMAND: self._commands(), ROTATING: self._rotating(), PARTICLES: self._particles(),
@@ -71,7 +70,7 @@ class SessionMessages:
                 yield message
 
     def times(self, topic: str) -> np.ndarray:
-        """Times (n,) [ns] of a topic's messages, ascending."""
+        """Return times (n,) [ns] of the messages of a `topic`, ascending."""
         return np.unique(self._track_ns) if topic == PARTICLES else self._command_ns
 
     def _particles(self) -> Iterator[Message]:

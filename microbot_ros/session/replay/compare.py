@@ -1,4 +1,4 @@
-"""Two recordings side by side: which topics differ, and the first point where they part."""
+"""Comparison of two recordings: topics that differ, and their first difference."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from microbot_ros.session.mcap.from_recording import stamp_ns
 from microbot_ros.session.mcap.recording import Recording
 
 _Key = tuple[int, int]
-"""What pairs two messages: their stamp [ns], and which of those with that stamp."""
+"""Key that pairs two messages: their stamp [ns], and their number among those with that stamp."""
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Differences of messages with stamps from `first_ns` [ns] on cannot be judged, for a `reason`
-    in words, unless more than `share` of all messages differ.
+    """Differences from the stamp `first_ns` [ns] on cannot be judged, for a `reason` in words.
+
+    They count nevertheless if more than `share` of all messages differ.
     """
 
     first_ns: int
@@ -32,9 +33,9 @@ class Doubt:
 
 @dataclass(frozen=True)
 class FirstDifference:
-    """The first field of the first pair of messages that differ, `t_s` since the start of `a`.
+    """First field of the first pair of messages that differ, `t_s` since the start of `a`.
 
-    `a` and `b` are its values in either recording.
+    `field` is its path, `a` and `b` are its values.
     """
 
     t_s: float
@@ -45,11 +46,11 @@ class FirstDifference:
 
 @dataclass(frozen=True)
 class TopicDifference:
-    """How one topic differs between recordings a and b.
+    """Differences of one `topic` between recordings a and b.
 
-    `pairs` messages have a partner, `unequal` of them differ in some field; `only_a` and
-    `only_b` have none. `largest` is the largest difference between numbers, by field. Messages
-    whose difference cannot be judged count in none of these but in `unjudged`.
+    `pairs` messages have a partner, `unequal` of them differ in some field; `only_a` and `only_b`
+    have none. `first` is the first difference, `largest` the largest between numbers, by field.
+    Messages whose difference cannot be judged count only in `unjudged`.
     """
 
     topic: str
@@ -63,7 +64,7 @@ class TopicDifference:
 
     @property
     def same(self) -> bool:
-        """Whether the topic holds the same in both."""
+        """Whether the topic is equal in both."""
         return not (self.unequal or self.only_a or self.only_b)
 
 
@@ -72,15 +73,22 @@ def compare(
     stamps: Collection[int] | None = None, tolerance: float = 0.0,
     doubt: Doubt | None = None,
 ) -> list[TopicDifference]:
-    """Every topic of either recording (or those chosen), compared field by field.
+    """Compare the topics of two recordings field by field.
 
-    With `stamps` [ns] only messages whose header bears one of them count. Numbers are the same
-    within `tolerance` of the largest in their field. Differences that a `doubt` explains are left
-    unjudged.
+    Messages with a header are paired by its stamp, others by their order; times of receipt do not
+    count. Serialised bytes are never compared, since their padding is arbitrary. NaN equals NaN.
 
-    Messages with a header are paired by its stamp, others by their order; times of receipt do
-    not count, and serialised bytes are never compared, since their padding is arbitrary. NaN
-    equals NaN.
+    Parameters
+    ----------
+    a, b : Recording
+    topics : collection of str, optional
+        By default every topic of either recording.
+    stamps : collection of int, optional [ns]
+        Stamps of the messages that count.
+    tolerance : float
+        Relative to the largest number of a field.
+    doubt : Doubt, optional
+        Explains differences that are left unjudged.
     """
     names = sorted({*a.topics, *b.topics} if topics is None else topics)
     return [_compare_topic(a, b, name, stamps, tolerance, doubt) for name in names]
@@ -88,7 +96,7 @@ def compare(
 
 @dataclass
 class _Frame:
-    """What of a topic bears one stamp: whether all of it is the same, and where not."""
+    """Comparison of all messages of a topic with one stamp."""
 
     pairs: int = 0
     unequal: int = 0
@@ -152,7 +160,7 @@ def _sum(topic: str, frames: list[_Frame], unjudged: int) -> TopicDifference:
 def _keyed(
     a: Recording, b: Recording, topic: str,
 ) -> Iterator[tuple[int, _Key, tuple[int, dict[str, Any]]]]:
-    """The messages of a topic of both in turn: (0 or 1, key to pair them, (time, fields))."""
+    """Yield messages of a topic of both in turn: (0 or 1, key to pair them, (time, fields))."""
     streams = {0: _entries(a, topic), 1: _entries(b, topic)}
     while streams:
         for side in list(streams):
@@ -177,7 +185,7 @@ def _entries(
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """Every leaf of a message by its path: 'header.stamp.sec', 'points.x', 'poses[3].x'."""
+    """Yield every leaf of a message by its path: 'header.stamp.sec', 'points.x', 'poses[3].x'."""
     names = _fields(value.__class__)
     if isinstance(value, list):
         for place, item in enumerate(value):
@@ -196,7 +204,7 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 @cache
 def _fields(kind: type) -> tuple[str, ...]:
-    """The names of a message's fields; none for what is no message."""
+    """Return the names of a message's fields; none for other types."""
     if not dataclasses.is_dataclass(kind):
         return ()
     return tuple(field.name for field in dataclasses.fields(kind))
@@ -205,8 +213,10 @@ def _fields(kind: type) -> tuple[str, ...]:
 def _partings(
     left: dict[str, Any], right: dict[str, Any], tolerance: float,
 ) -> Iterator[tuple[str, str, str, str, float]]:
-    """(field, place in it, value in a, value in b, size) of every field that differs; the size
-    is infinite where it is no matter of numbers."""
+    """Yield (field, index, value in a, value in b, size) of every field that differs.
+
+    The size is infinite if it is not a number.
+    """
     for field in dict.fromkeys([*left, *right]):
         a, b = left.get(field), right.get(field)
         if _identical(a, b):
@@ -227,7 +237,7 @@ def _partings(
 
 
 def _identical(a: Any, b: Any) -> bool:
-    """Whether two fields are the same beyond doubt; most are, and this takes no time."""
+    """Return whether two fields are bytewise equal, which most are; a fast first test."""
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
     return type(a) is type(b) and isinstance(a, (int, float, str)) and bool(a == b)

@@ -86,8 +86,7 @@ class Inputs:
         self._read_ns = 0
 
     def find(self, name: str, stamp_ns: int, at_ns: int) -> bytes | None:
-        """Return the message `name` of stamp `stamp_ns` received nearest to `at_ns` [ns], or None.
-        """
+        """Return the message `name` of `stamp_ns` received nearest to `at_ns` [ns], or None."""
         waiting = self._waiting.get(name)
         if waiting is None:
             return None
@@ -131,10 +130,10 @@ def _line(message: Message) -> tuple[str, int, list[Entry]]:
 
 
 def header_stamp_ns(data: bytes) -> int:
-    """The stamp [ns] in serialised `data` of a message that begins with a std_msgs/Header.
+    """Return the stamp [ns] in serialised `data` of a message that begins with a std_msgs/Header.
 
     OMG CDR: an encapsulation of four bytes whose second is odd for little-endian, then `int32 sec,
-    uint32 nanosec`. InputError for what is too short to hold one.
+    uint32 nanosec`. Raises InputError if the data are too short.
     """
     if len(data) < 12:
         raise InputError('message', f'expected a message with a header, found {len(data)} bytes')

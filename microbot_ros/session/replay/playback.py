@@ -1,4 +1,4 @@
-"""When each message of a session is due: rate, limits, loop, pause, step and seek."""
+"""Schedule of the messages of a session: rate, limits, loop, pause, step and seek."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from microbot_ros.session.mcap.recording import (
 from microbot_ros.session.replay.as_messages import SessionMessages
 from microbot_ros.session.tables.folder import read_folder
 
-SLOWEST, FASTEST = 0.1, 100.0
+SLOWEST, FASTEST = 0.1, 100.0  # choices: limits of the rate, times real time
 
 
 class Source(Protocol):
-    """What can be played: a `Recording` or `SessionMessages`."""
+    """Playable source: a `Recording` or `SessionMessages`."""
 
     topics: dict[str, Topic]
     start_ns: int
@@ -33,13 +33,12 @@ class Source(Protocol):
         self, topics: Collection[str] | None = None, start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[Message]:
-        """Messages of `topics` (None: all) from `start_ns` up to `end_ns` [ns] in order of time.
-        """
+        """Yield messages of `topics` (None: all) from `start_ns` up to `end_ns` [ns] by time."""
 
 
 @contextmanager
 def open_source(path: str | Path) -> Iterator[Source]:
-    """A session of either kind, open for playing."""
+    """Open the session at `path`, a folder or a recording, for playing."""
     path = Path(path)
     if path.exists() and not is_recording(path):
         yield SessionMessages(read_folder(path))
@@ -51,14 +50,28 @@ def open_source(path: str | Path) -> Iterator[Source]:
 
 
 class Playback:
-    """Hands out the messages of a source when they are due.
+    """Schedule of the messages of a source.
 
-    Pure: the caller brings the time, `now` [s], from any steady clock, sends what `take` gives
-    and publishes `clock_ns`. `rate` is times real time, 0.1 to 100, or infinity for as fast as
-    the caller takes. `start` and `end` are seconds since the beginning of the source. With
-    `loop` the end is followed by the start again, and the clock jumps back. `topics` chooses by
-    name, with or without namespace; None is all. InputError for a rate or limits out of range
-    and for topics that are not there.
+    It has no clock: the caller passes the time `now` [s] of any steady clock, sends the messages
+    of `take` and publishes `clock_ns`.
+
+    Parameters
+    ----------
+    source : Source
+    now : float [s]
+    rate : float
+        Times real time, 0.1 to 100, or infinite for as fast as possible.
+    start, end : float [s]
+        Since the beginning of the source.
+    loop : bool
+        Whether the start follows the end; the clock then jumps back.
+    topics : collection of str, optional
+        By name, with or without namespace.
+
+    Raises
+    ------
+    InputError
+        For a rate or limits out of range, and for missing topics.
     """
 
     _next: Message | None
@@ -89,17 +102,17 @@ class Playback:
 
     @property
     def paused(self) -> bool:
-        """Whether only `step` moves on."""
+        """Whether only `step` advances."""
         return self._paused
 
     def take(self, now: float) -> Message | None:
-        """The next message if it is due, else None."""
+        """Return the next message if it is due at `now` [s], else None."""
         if self._paused or self._next is None or self.wait(now) > 0:
             return None
         return self._advance(now)
 
     def wait(self, now: float) -> float:
-        """Seconds until the next message is due; 0 if it is, infinity while nothing will be."""
+        """Return seconds from `now` until the next message is due; infinity if none will be."""
         if self._paused or self._next is None:
             return math.inf
         if self._rate == math.inf:
@@ -108,27 +121,27 @@ class Playback:
         return max(0.0, due - now)
 
     def clock_ns(self, now: float) -> int:
-        """Time for `/clock`: it never passes a message that has not been taken."""
+        """Return the time for `/clock` at `now` [s]; it never passes a message not yet taken."""
         limit = self._last if self._next is None else self._next.t_ns
         if self._paused or self._rate == math.inf:
             return min(self._at, limit)
         return min(self._at + round((now - self._since) * 1e9 * self._rate), limit)
 
     def pause(self, now: float) -> None:
-        """Stop the clock where it is."""
+        """Stop the clock at `now` [s]."""
         self._at, self._paused = self.clock_ns(now), True
 
     def resume(self, now: float) -> None:
-        """Let the clock run on."""
+        """Let the clock continue at `now` [s]."""
         self._since, self._paused = now, False
 
     def set_rate(self, rate: float, now: float) -> None:
-        """Change the rate from here on; InputError out of range."""
+        """Change the `rate` from `now` [s] on; InputError if out of range."""
         rate = _checked_rate(rate)
         self._at, self._since, self._rate = self.clock_ns(now), now, rate
 
     def seek(self, seconds: float, now: float) -> None:
-        """Go to a time since the beginning of the source, within the limits of the playback."""
+        """Go to `seconds` since the start of the source, within the limits, at `now` [s]."""
         position = seconds * 1e9 + self._source.start_ns
         if not self._first <= position <= self._last:
             low, high = (
@@ -137,7 +150,7 @@ class Playback:
         self._go_to(round(position), now)
 
     def step(self, now: float, topic: str | None = None) -> Iterator[Message]:
-        """Pause, and hand out the next message, or all up to the next of `topic`."""
+        """Pause at `now` [s] and yield the next message, or all up to the next of `topic`."""
         self.pause(now)
         while self._next is not None:
             message = self._advance(now)

@@ -1,1 +1,1 @@
-"""What laboratories have, turned into sessions: spreadsheets, wide tables, pixels, intervals."""
+"""Import of laboratory files as sessions: spreadsheets, wide tables, pixels, intervals."""

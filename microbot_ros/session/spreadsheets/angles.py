@@ -1,4 +1,4 @@
-"""Which way a laboratory's angles turn, in what unit, and from which axis they count."""
+"""Sense, unit and zero axis of a laboratory's angles."""
 
 from __future__ import annotations
 
@@ -13,30 +13,31 @@ from microbot_ros.session.spreadsheets.columns import Column
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet
 
 _CHORD_SECONDS = 0.25
-"""Motion is judged over chords this long, to rise above the noise of single frames."""
+"""Choice: duration of chords of motion [s], above the noise of single frames."""
 _AGREEMENT = 0.2
-"""Share of the path that must follow the commands before anything is concluded."""
+"""Choice: share of the path that must follow the commands for any conclusion."""
 _CLEARLY = 2.0
-"""How many times better one sense must agree than the other."""
+"""Choice: factor by which one sense must agree better than the other."""
 _ALIKE = 0.8
-"""Share of the agreement with the angles from which that with their mirror image is the same."""
+"""Choice: ratio of the agreement with the mirror image from which both agree equally."""
 _FEWEST_ROWS = 20
-"""Rows from which motion that keeps to one line is no chance."""
+"""Choice: rows from which motion along one line is not a coincidence."""
 _NEAR_90 = math.radians(12)
 _NEAR_90_AXIS = math.radians(30)
-"""Robots of unequal coils lead by ±8 to ±16° at diagonals; beside 90° that is still 90°."""
+"""Choice: robots of unequal coils lead by ±8 to ±16° at diagonals; this still counts as 90°."""
 _NEAR_180 = math.radians(30)
 _FULL_TURN = 2 * math.pi + 0.01
 _MOST_TURNS = 4
-"""Turns that an unwrapped angle in radians may count; beyond, degrees are as likely."""
+"""Choice: turns of an unwrapped angle in radians; beyond, degrees are as likely."""
 
 
 def angles(sheet: Sheet, column: Column, columns: Sequence[Column], answers: Answers,
            said: Assumptions) -> np.ndarray:
-    """A `column` of angles (n,) in radians.
+    """Return a `column` of angles (n,) in radians.
 
-    The unit is the stated one, that of the column's name, that of the angles beside it (the other
-    `columns`), or the one that the size of the values shows. InputError where none decides.
+    The unit is the one in `answers`, that of the column's name, that of the other `columns` of
+    angles, or the one that the size of the values shows. `said` collects assumptions. Raises
+    InputError if none decides.
     """
     values, name = sheet.numbers(column.index), sheet.names[column.index]
     unit = answers.angle_unit or column.unit
@@ -65,9 +66,9 @@ def angles(sheet: Sheet, column: Column, columns: Sequence[Column], answers: Ans
 
 
 def _unit_beside(sheet: Sheet, columns: Sequence[Column]) -> tuple[str, str]:
-    """The unit that tilt and cone angle show, and a phrase that says why; '' where they do not.
+    """Return the unit shown by tilt and cone angle, and a phrase with the reason; '' if none.
 
-    They are right angles on most boards, most of the time: 1.570796 or 90.
+    These are right angles on most boards, most of the time: 1.570796 or 90.
     """
     for column in columns:
         if column.role not in ('tilt', 'cone'):
@@ -85,13 +86,12 @@ def settle_angles(
     commands: Commands, tracks: Tracks, answers: Answers, said: Assumptions, source: str,
     axis: bool = False,
 ) -> Commands:
-    """Commands in the workspace's angles: counterclockwise from x, as the motion shows.
+    """Convert commands to workspace angles: counterclockwise from x, as the motion shows.
 
-    The sense of turning shows in whether the motion follows the angles or their mirror image. An
-    offset near ±90° may be the convention of the angles or the heading offset of the robot: that
-    is asked for, by an InputError that names `source`. Where the angles are those of an `axis` of
-    rotation, as tilt and cone angle beside them say, robots roll at a right angle to it and
-    nothing is asked.
+    The sense follows from whether the motion follows the angles or their mirror image. An offset
+    near ±90° may be the convention of the angles or the heading offset of the robot: an InputError
+    naming `source` asks for it. If the angles are those of an `axis` of rotation, as tilt and cone
+    angle show, robots roll at a right angle to it and nothing is asked.
     """
     z = commands.field @ np.array([1, 1j])
     if commands.frequency is not None:
@@ -125,7 +125,7 @@ def _opposite(agreement: complex) -> bool:
 
 
 def _offset(same: complex, axis: bool, said: Assumptions, source: str) -> float:
-    """What angles are too large by [rad], from the lead of the motion over them."""
+    """Return how much angles are too large [rad], from the lead of the motion over them."""
     lead = float(np.angle(same))
     if abs(same) < _AGREEMENT:
         said.add('motion and commands show no common direction; angles kept as they are')
@@ -146,10 +146,10 @@ def _offset(same: complex, axis: bool, said: Assumptions, source: str) -> float:
 
 
 def agreement(tracks: Tracks, t: np.ndarray, z: np.ndarray) -> complex:
-    """Mean of motion over command, as far as it goes one way.
+    """Return the mean of motion over command, as far as the direction is constant.
 
-    Its size from 0 to 1 is the share of the path of the `tracks` that keeps one angle to the
-    commands `z` (K,), complex, given at `t` (K,) [s]; its phase is that angle [rad].
+    Its size, 0 to 1, is the share of the path of the `tracks` that keeps one angle to the commands
+    `z` (K,), complex, given at `t` (K,) [s]; its phase is that angle [rad].
     """
     unit = np.divide(z, np.abs(z), out=np.zeros_like(z), where=z != 0)
     along, path = 0j, 0.0

@@ -1,4 +1,4 @@
-"""A session out of the sheets of a laboratory, saying what was assumed on the way."""
+"""A session from the sheets of a laboratory, with the assumptions made."""
 
 from __future__ import annotations
 
@@ -23,13 +23,12 @@ from microbot_ros.session.tables.plausibility import check_session
 
 
 def import_session(path: Path, answers: Answers) -> tuple[Session, list[str]]:
-    """A session from a spreadsheet, a delimited text file or a folder of such files, and the
-    assumptions made.
+    """Import the spreadsheet, text file or folder of such files `path`, and list assumptions.
 
-    Robots may share a sheet (a column of identities, or columns numbered by robot) or have a
-    sheet each; commands may stand beside them or in a sheet of their own. InputError names the
-    option that answers what the file leaves open, or the cell that is wrong; SummaryError says
-    that the file at `path` holds averages.
+    Robots may share a sheet (a column of identities, or columns numbered by robot) or have a sheet
+    each; commands may be in the same sheets or in their own. `answers` are the user's options.
+    Raises InputError naming the option that answers an open question, or the cell that is wrong;
+    SummaryError if the file holds averages.
     """
     sheets, told = read_sheets(path)
     said = Assumptions(told)
@@ -77,7 +76,7 @@ def _pieces(
     sheet: Sheet, columns: list[Column], timeline: RowTimes, place: int, scale: Scale,
     answers: Answers, said: Assumptions,
 ) -> list[Tracks]:
-    """The tracks of one sheet, one piece per pair of x and y columns and stretch between cuts."""
+    """Return the tracks of one sheet, a piece per pair of x and y columns and stretch."""
     particle = next((column for column in columns if column.role == 'particle'), None)
     t, pieces = timeline.t, []
     for x in (column for column in columns if column.role == 'x'):
@@ -137,7 +136,7 @@ def _points_down(answers: Answers, scale: Scale) -> bool:
 
 
 def _without_gaps(pieces: list[Tracks], path: Path, said: Assumptions) -> list[Tracks]:
-    """The `pieces` without the rows that hold no position; InputError where none does."""
+    """Return the `pieces` without rows that have no position; InputError if none has."""
     result, gaps = [], 0
     for piece in pieces:
         seen = np.isfinite(piece.position).all(axis=1)

@@ -1,4 +1,4 @@
-"""What a column holds, by its name: 'Pos X', 'x_1 [px]', 'Times', 'Rolling Frequency'."""
+"""Content of a column by its name: 'Pos X', 'x_1 [px]', 'Times', 'Rolling Frequency'."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from microbot_ros.common.errors import InputError
 from microbot_ros.session.spreadsheets.sheets import Sheet
 
-# Role → names it goes by, in lower case with single blanks.
+# Role → possible names, in lower case with single blanks.
 _NAMES = {
     'time': ('t', 'time', 'times', 'timestamp', 'elapsed', 'elapsed time', 'dt', 'interval',
              'position t'),
@@ -37,7 +37,7 @@ _SINGLE = ('time', 'frame', 'particle', 'direction', 'frequency', 'bx', 'by', 't
 _WITNESSES = ('speed', 'vx', 'vy', 'tilt', 'cone')
 """Roles that only check or complete other columns: of several the first is used."""
 
-# How units are written → the suffix by which `units` knows them.
+# Spelling of a unit → its suffix in `units`.
 _UNITS = {
     'px': '_px', 'pixel': '_px', 'pixels': '_px', 'um': '_um', 'µm': '_um', 'μm': '_um',
     'micron': '_um', 'microns': '_um', 'mm': '_mm', 'm': '_m', 's': '_s', 'sec': '_s',
@@ -52,9 +52,10 @@ _WHOSE = re.compile(r'\b(?:robot|particle|track)\b\s*')
 
 @dataclass(frozen=True)
 class Column:
-    """What column number `index` of a sheet holds: its `role`, one of `ROLES`; `unit` is a suffix
-    such as '_px', '' where the name says none; `particle` is the number in its name, None where
-    there is none.
+    """Content of column number `index` of a sheet.
+
+    `role` is one of `ROLES`; `unit` a suffix such as '_px', '' if the name has none; `particle`
+    the number in its name, or None.
     """
 
     index: int
@@ -64,9 +65,9 @@ class Column:
 
 
 def find_columns(sheet: Sheet, named: dict[str, str]) -> list[Column]:
-    """The columns of a sheet whose role is known, `named` (role → name) taking precedence.
+    """Return the columns of a `sheet` with a known role; `named` (role → name) takes precedence.
 
-    InputError where two columns claim one role.
+    Raises InputError if two columns claim one role.
     """
     columns = []
     for index, name in enumerate(sheet.names):
@@ -74,7 +75,7 @@ def find_columns(sheet: Sheet, named: dict[str, str]) -> list[Column]:
         column = Column(index, told, _split_unit(name)[1]) if told else _recognise(index, name)
         if column and (told or column.role not in named):
             columns.append(column)
-    # Beside the identity of a track, a bare 'ID' numbers the rows.
+    # Next to the identity of a track, a bare 'ID' is a row number.
     identities = [column for column in columns if column.role == 'particle']
     if len(identities) > 1:
         columns = [c for c in columns if c not in identities or _split_unit(
@@ -110,7 +111,7 @@ def _recognise(index: int, name: str) -> Column | None:
 
 
 def _split_unit(name: str) -> tuple[str, str]:
-    """A name in lower case with single blanks, and its unit as a suffix."""
+    """Return a name in lower case with single blanks, and its unit as a suffix."""
     bracketed = _BRACKETED.search(name)
     if bracketed and bracketed[1].lower() in _UNITS:
         return _plain(_BRACKETED.sub(' ', name)), _UNITS[bracketed[1].lower()]

@@ -1,4 +1,4 @@
-"""What the sheets of a laboratory say was commanded."""
+"""Commands in the sheets of a laboratory."""
 
 from __future__ import annotations
 
@@ -22,19 +22,21 @@ from microbot_ros.session.spreadsheets.scale import Part
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet
 from microbot_ros.session.tables.folder import NOMINAL_FIELD
 
-_GAUSS = 1e-4
+_GAUSS = 1e-4  # teslas
 _LEAST_SHARE = 0.05
-"""Fields whose largest component is between this and 1 and names no unit are shares of full
-scale: 0.05 of a unit would be a weak field in mT or G and a strong one in T."""
+"""Choice: fields without a unit are shares of full scale if they reach this, but not more than 1.
+
+0.05 of a unit would be a weak field in mT or G and a strong one in T.
+"""
 _FOLLOWS, _CLEARLY_LESS = 0.7, 0.8
 """Share of the path that must follow the commands where two sheets are tied by it alone, and the
 share of that above which the other way to tie them is as good."""
 _UPRIGHT = np.radians(1.0)
-"""Tilts that differ by less are the same axis; boards write 1.570796."""
+"""Choice: tilts that differ by less [rad] are the same axis; boards write 1.570796."""
 
 
 def commands_in(columns: Sequence[Column]) -> bool:
-    """Whether `columns` hold what was commanded."""
+    """Return whether `columns` hold commands."""
     roles = {column.role for column in columns}
     return 'direction' in roles or {'bx', 'by'} <= roles
 
@@ -43,16 +45,17 @@ def find_commands(
     parts: Sequence[Part], robots: Sequence[Part], timelines: list[RowTimes], tracks: Tracks,
     answers: Answers, said: Assumptions,
 ) -> Commands:
-    """Commands of the sheets in `parts`, in the workspace's angles, on the clock of the `robots`.
+    """Return the commands of the sheets in `parts`, in workspace angles, on the robots' clock.
 
-    `timelines` are the times of the robots' rows and `tracks` their motion. InputError names the
-    option that answers what the sheets leave open.
+    `timelines` are the times of the `robots`' rows, `tracks` their motion, `answers` the user's
+    options; `said` collects assumptions. Raises InputError naming the option that answers an open
+    question.
     """
     chosen = [part for part in parts if commands_in(part[1])]
     if not chosen:
         said.add('no commands')
         return Commands(np.empty(0), np.empty((0, 2)))
-    # A sheet of commands alone comes before the columns that tables of robots repeat.
+    # A sheet with commands only takes precedence over columns repeated in tables of robots.
     sheet, columns = next((part for part in chosen if part not in robots), chosen[0])
     own = next((line for line in timelines if line.sheet is sheet), None)
     if own is None and any(column.role == 'time' for column in columns):
@@ -82,7 +85,7 @@ def _beside_the_motion(
     sheet: Sheet, timelines: list[RowTimes], field: np.ndarray, frequency: np.ndarray | None,
     tracks: Tracks, said: Assumptions,
 ) -> RowTimes | None:
-    """Times of a sheet that begins or ends with the robots', as the motion shows; None else."""
+    """Return times of a sheet aligned to the robots' first or last row by the motion, or None."""
     clock = clock_of(timelines)
     rows, step = len(sheet.rows), float(np.median(np.diff(clock.t))) if len(clock.t) > 1 else 0.0
     if not step > 0 or rows < 2:
@@ -108,7 +111,7 @@ def _beside_the_motion(
 def _field(
     sheet: Sheet, columns: Sequence[Column], answers: Answers, said: Assumptions,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Field (n, 2) [T] and the frequency of its rotation (n,) [Hz], None for a uniform field."""
+    """Return the field (n, 2) [T] and its frequency (n,) [Hz], None if it does not rotate."""
     by_role = {column.role: column for column in columns}
     rotation = sheet.numbers(by_role['frequency'].index) if 'frequency' in by_role else None
     rolls = rotation is not None and np.nansum(np.abs(rotation)) > 0
@@ -132,7 +135,7 @@ def _field(
 
 def _teslas(sheet: Sheet, bx: Column, components: np.ndarray, answers: Answers,
             said: Assumptions) -> float:
-    """Teslas in one unit of the field's `components` (n, 2)."""
+    """Return teslas per unit of the field's `components` (n, 2)."""
     unit, name = answers.field_unit or bx.unit, sheet.names[bx.index]
     largest = float(np.nanmax(np.abs(components), initial=0.0))
     if not unit and largest == 0:
@@ -156,7 +159,7 @@ def _teslas(sheet: Sheet, bx: Column, components: np.ndarray, answers: Answers,
 
 def _tilt(sheet: Sheet, columns: Sequence[Column], answers: Answers, said: Assumptions,
           ) -> np.ndarray | None:
-    """Angle (n,) [rad] of the axis of rotation from the vertical; None where it never tilts."""
+    """Return the angle (n,) [rad] of the rotation axis from the vertical, None if never tilted."""
     column = next((column for column in columns if column.role == 'tilt'), None)
     if column is None:
         return None

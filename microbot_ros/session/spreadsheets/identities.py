@@ -1,8 +1,8 @@
-"""Which robot a stretch of a sheet is: sheets of trackers change their robots on the way.
+"""Identity of a stretch of a sheet: trackers may change the robot of a sheet on the way.
 
-A tracker that keeps its robots in a list writes one sheet per place in the list. When a robot is
-deleted, those behind it move up, and their sheets leap to another robot between two rows. A robot
-that was lost may be picked up again elsewhere, or another one in its stead.
+A tracker that keeps its robots in a list writes one sheet per list position. When a robot is
+deleted, those behind it move up, and their sheets jump to another robot between two rows. A lost
+robot may be picked up again elsewhere, or another one in its place.
 """
 
 from __future__ import annotations
@@ -16,15 +16,17 @@ import numpy as np
 from microbot_ros.common.records import Tracks
 from microbot_ros.session.spreadsheets.sheets import Assumptions
 
+# Choices. The usual step is the 95th percentile of a sheet's steps.
 _LEAP_STEPS = 6.0
 _LEAP = 10e-6
-"""A step longer than both is a leap: in steps that 95 of 100 stay below, and in metres. The
-longest step of robots that roll at 20 Hz, over a skipped frame, is 3 of the former."""
-_NEAR_STEPS = 4.0
-"""A stretch goes on where another ended if it begins within as many of such steps."""
-_NEAR_FRAMES = 5.0
+"""A step longer than both, in usual steps and in metres, is a jump.
+
+The longest step of robots that roll at 20 Hz, over a skipped frame, is 3 usual ones.
+"""
+_NEAR_STEPS, _NEAR_FRAMES = 4.0, 5.0
+"""Usual steps and frames within which a stretch continues where another ended."""
 _FEWEST = 20
-"""Rows from which the usual step of a sheet is known."""
+"""Choice: rows needed to know the usual step of a sheet."""
 
 
 @dataclass
@@ -41,11 +43,11 @@ class _Stretch:
 
 
 def settle_identities(pieces: Sequence[Tracks], said: Assumptions) -> list[Tracks]:
-    """Tracks whose `pieces` bear the identity of the robot that they show.
+    """Return tracks whose `pieces` have the identity of the robot that they show.
 
-    A piece is a stretch of one sheet; several of the same name were cut from one another. Pieces
-    of several robots are returned as they are. After a leap or a cut a stretch has the identity
-    of the robot that was last seen where it begins, else a new one. `said` notes each change.
+    A piece is a stretch of one sheet; several of one name were cut apart. Pieces of several robots
+    are returned unchanged. After a jump or a cut, a stretch gets the identity of the robot last
+    seen where it begins, else a new one. `said` notes each change.
     """
     mixed = [piece for piece in pieces if len(np.unique(piece.particle)) != 1]
     stretches: list[_Stretch] = []
@@ -78,7 +80,7 @@ def settle_identities(pieces: Sequence[Tracks], said: Assumptions) -> list[Track
 
 
 def _split(piece: Tracks, follows: bool) -> list[_Stretch]:
-    """The stretches of a `piece` between leaps."""
+    """Return the stretches of a `piece` between jumps."""
     steps = np.hypot(*np.diff(piece.position, axis=0).T)
     interval = float(np.median(np.diff(piece.t))) if len(piece.t) > 1 else 0.0
     if len(steps) < _FEWEST:
@@ -96,7 +98,7 @@ def _split(piece: Tracks, follows: bool) -> list[_Stretch]:
 
 
 def _moved_together(stretches: Sequence[_Stretch]) -> bool:
-    """Whether several robots leap at one time by one vector: the stage moved, not the robots."""
+    """Return whether several robots jump at one time by one vector: the stage moved."""
     names = {stretch.name for stretch in stretches}
     leaps: dict[float, list[complex]] = {}
     for before, after in pairwise(stretches):
@@ -109,7 +111,7 @@ def _moved_together(stretches: Sequence[_Stretch]) -> bool:
 
 
 def _ended_there(stretches: Sequence[_Stretch], new: _Stretch) -> _Stretch | None:
-    """The nearest stretch that ended just before a `new` one begins, near that place."""
+    """Return the nearest stretch that ended just before a `new` one begins, near its start."""
     begin, place = new.track.t[0], new.track.position[0]
     best, least = None, np.inf
     for one in stretches:

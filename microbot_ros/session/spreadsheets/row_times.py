@@ -1,4 +1,4 @@
-"""When each row of a sheet was: moments, intervals, frames, or another sheet's rows."""
+"""Times of the rows of a sheet: moments, intervals, frames, or another sheet's rows."""
 
 from __future__ import annotations
 
@@ -14,23 +14,27 @@ from microbot_ros.session.spreadsheets.columns import Column
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet
 
 _STEADY = 20.0
-"""Intervals of a camera stay below this many of their medians; moments do not."""
+"""Choice: largest interval of a camera in medians; moments exceed it."""
 _LONGEST_STEP = 2.0
-"""A step above this is as likely in milliseconds as in seconds."""
+"""Choice: a longer step is as likely in milliseconds as in seconds."""
 _MOST_BACK = 0.02
-"""Share of the rows that may go back in a column of moments. Intervals go back in a third to a
-half of the rows."""
+"""Choice: share of rows that may go back in a column of moments.
+
+Intervals go back in a third to a half of the rows.
+"""
 _LOST_FRAMES = 10
-"""A counter that advances by more between two rows, without the time for it, has lost the track.
-Counters of busy trackers skip and repeat one or two frames."""
+"""Choice: frames that a counter may advance between two rows without the time for them.
+
+Beyond, the track was lost. Counters of busy trackers skip and repeat one or two frames.
+"""
 
 
 @dataclass(frozen=True)
 class RowTimes:
-    """The times `t` (n,) [s] of the rows of a sheet, and their frame numbers where it has them.
+    """Times `t` (n,) [s] of the rows of a `sheet`, and their `frames` numbers or None.
 
-    `intervals`: the sheet told how long each row lasted, not when it was. `cuts`: the rows at
-    which a lost track was picked up again.
+    `intervals`: the sheet states how long each row lasted, not when it was. `cuts`: rows at which
+    a lost track was picked up again.
     """
 
     sheet: Sheet
@@ -43,7 +47,7 @@ class RowTimes:
 def own_row_times(
     sheet: Sheet, columns: Sequence[Column], answers: Answers, said: Assumptions,
 ) -> RowTimes | None:
-    """The times that a sheet states itself; None where it states none."""
+    """Return the times that a `sheet` states itself in its `columns`; None if it states none."""
     by_role = {column.role: column for column in columns}
     frames = sheet.numbers(by_role['frame'].index) if 'frame' in by_role else None
     if 'time' in by_role:
@@ -70,7 +74,7 @@ def own_row_times(
 
 def joined_row_times(sheet: Sheet, columns: Sequence[Column], others: list[RowTimes],
                     said: Assumptions) -> RowTimes:
-    """The times of a sheet that has none of its own, or only frames, from its neighbours'."""
+    """Return times of a `sheet` with none of its own, or only frames, from `others`."""
     longest = clock_of(others)
     if len(sheet.rows) == len(longest.t):
         said.add(f'{sheet.name}: row by row beside {longest.sheet.name}')
@@ -91,11 +95,12 @@ def joined_row_times(sheet: Sheet, columns: Sequence[Column], others: list[RowTi
 
 
 def aligned(timelines: list[RowTimes], said: Assumptions) -> list[RowTimes]:
-    """Timelines of robots filmed together on one clock: where times are sums of intervals, every
-    sheet runs row by row along the longest, from the frame where it begins.
+    """Return `timelines` of robots filmed together on one clock.
 
-    The clock is extended where a sheet begins before the longest or ends after it. After a cut a
-    sheet goes on from the frame at which its track was picked up.
+    If times are sums of intervals, every sheet runs row by row along the longest, from the frame
+    where it begins. The clock is extended where a sheet begins before the longest or ends after
+    it. After a cut a sheet continues from the frame at which its track was picked up. `said`
+    collects assumptions.
     """
     if not all(timeline.intervals for timeline in timelines) or len(timelines) < 2:
         return timelines
@@ -105,8 +110,9 @@ def aligned(timelines: list[RowTimes], said: Assumptions) -> list[RowTimes]:
 
 
 def clock_of(timelines: Sequence[RowTimes]) -> RowTimes:
-    """The clock that rows of other sheets are compared with: that of the longest of `timelines`,
-    extended by the others where all run along it.
+    """Return the clock to compare other sheets with: that of the longest of `timelines`.
+
+    It is extended by the others if all run along it.
     """
     if len(timelines) > 1 and all(timeline.intervals for timeline in timelines):
         return _clock(timelines)
@@ -114,7 +120,7 @@ def clock_of(timelines: Sequence[RowTimes]) -> RowTimes:
 
 
 def _clock(timelines: Sequence[RowTimes]) -> RowTimes:
-    # A sheet without cuts has no time that was lost.
+    # A sheet without cuts has lost no time.
     clock = max(timelines, key=lambda timeline: (not timeline.cuts, len(timeline.t)))
     for other in timelines:
         if clock.frames is None or other.frames is None:
@@ -133,7 +139,7 @@ def _clock(timelines: Sequence[RowTimes]) -> RowTimes:
 
 
 def _along(clock: RowTimes, timeline: RowTimes) -> np.ndarray:
-    """The times of the rows of a `timeline` on a `clock`."""
+    """Return the times of the rows of a `timeline` on a `clock`."""
     if clock.frames is None or timeline.frames is None:
         return clock.t[:len(timeline.t)]
     if (np.diff(clock.frames) < 0).any():
@@ -153,9 +159,9 @@ def _along(clock: RowTimes, timeline: RowTimes) -> np.ndarray:
 
 def _picked_up(sheet: Sheet, intervals: np.ndarray, frames: np.ndarray | None, said: Assumptions,
                ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Intervals (n,) [s] that all last, and the rows at which a lost track was picked up again.
+    """Return positive intervals (n,) [s], and the rows at which a lost track was picked up again.
 
-    There the counter of frames jumps and the interval does not say how long it was.
+    There the frame counter jumps and the interval does not include the gap.
     """
     usual = float(np.median(intervals[intervals > 0])) if (intervals > 0).any() else 0.0
     intervals = intervals.copy()

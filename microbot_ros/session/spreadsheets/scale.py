@@ -1,9 +1,8 @@
-"""Scale of the positions in a table, from the speeds that the table holds beside them.
+"""Scale of the positions in a table, from the speeds in the same table.
 
 A laboratory's tracker writes positions in pixels and speeds in µm/s. A speed is a displacement
 over some frames, divided by a time, times the size of a pixel. The ratio of the two columns is
-therefore the pixel size, and it is the same in every row once the number of frames and the time
-base are the right ones.
+therefore the pixel size, and it is equal in all rows for the right number of frames and time base.
 """
 
 from __future__ import annotations
@@ -24,20 +23,25 @@ from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet
 Part = tuple[Sheet, list[Column]]
 
 _LONGEST_WINDOW = 40
-"""Frames. The tracker of the MagScope boards uses 15; windows beyond 1.5 s smear every turn."""
-_FEWEST_ROWS = 20
+"""Choice: frames; the MagScope tracker uses 15, and windows beyond 1.5 s smear every turn."""
+_FEWEST_ROWS = 20  # choice: rows from which a common ratio is no coincidence
 _ROUNDING = 1e-5
-"""Relative width of the ratios that numbers of six digits leave. Of a table with constant
-intervals two time bases fit alike, and rounding must not decide between them."""
+"""Relative width of the ratios of numbers with six digits.
+
+In a table with constant intervals two time bases fit alike, and rounding must not decide.
+"""
 _EXACT = 1e-3
-"""Relative width of half of the ratios below which the table's own formula has been found."""
+"""Choice: relative width of half of the ratios below which the table's formula is found."""
 _WIDEST = 0.3
-"""Relative width of half of the ratios above which speeds say nothing about the scale."""
+"""Choice: relative width of half of the ratios above which speeds do not give the scale."""
 _UNCERTAIN = 0.03
-"""Relative 95 % error above which a scale is not used. Half refuses good tables of smoothed
-speeds; twice lets errors pass that double a diffusion coefficient's uncertainty."""
+"""Choice: relative 95 % error above which a scale is not used.
+
+Half refuses good tables of smoothed speeds; twice admits errors that double the uncertainty of a
+diffusion coefficient.
+"""
 _AGREES = 0.02
-"""Relative difference between a stated and a measured scale that is no conflict."""
+"""Choice: relative difference of a stated and a measured scale that is no conflict."""
 _PIXEL_UM = (0.01, 50.0)
 """Pixel sizes [µm] of microscopes: from a 100x objective to a macro lens."""
 _SPEED_UNITS = {'_um_s': 1e-6, '_mm_s': 1e-3, '': 1e-6}
@@ -47,7 +51,7 @@ _SPEED_UNITS = {'_um_s': 1e-6, '_mm_s': 1e-3, '': 1e-6}
 class SpeedRatio:
     """Ratio `value` of speed to displacement per time, in the units of the two columns.
 
-    Its relative 95 % `error`, the `window` it holds for, and the `share` of rows that have it.
+    `error` is the relative 95 % error, `window` the definition of speed, `share` that of the rows.
     """
 
     value: float
@@ -63,10 +67,10 @@ class SpeedRatio:
 
 @dataclass(frozen=True)
 class Scale:
-    """Metres per unit of position (`factor`), None where the table does not say.
+    """Metres per unit of position (`factor`), None if the table does not show it.
 
-    `pixel_size` [m] where positions are in pixels, else None; `window` of the table's speeds,
-    None where it holds none.
+    `pixel_size` [m] if positions are in pixels, else None; `window` of the table's speeds, or
+    None.
     """
 
     factor: float | None
@@ -75,10 +79,10 @@ class Scale:
 
 
 def speed_ratio(speed: np.ndarray, z: np.ndarray, t: np.ndarray) -> SpeedRatio | None:
-    """Ratio of speeds (n,) to displacements of complex positions `z` (n,) per time.
+    """Return the ratio of `speed` (n,) to displacements of complex positions `z` (n,) per time.
 
     `t` (n,) [s] are the times of the rows. All windows up to 40 frames and three time bases are
-    tried; the one whose ratios agree best is returned. None where no ratio is common to the rows.
+    tried; that with the best agreement is returned. None if no ratio is common to the rows.
     """
     best: tuple[float, SpeedRatio] | None = None
     steps = np.diff(t, prepend=np.nan)
@@ -90,12 +94,12 @@ def speed_ratio(speed: np.ndarray, z: np.ndarray, t: np.ndarray) -> SpeedRatio |
             known = np.isfinite(ratio) & (ratio > 0) & (moved > 0)
             if known.sum() < _FEWEST_ROWS:
                 continue
-            # Slow rows carry the noise of the positions; the faster half decides.
+            # Slow rows are dominated by position noise; the faster half decides.
             fast = known & (moved >= np.median(moved[known]))
             middle, width = _shorth(np.log(ratio[fast]))
             error = 2 * width / np.sqrt(max(fast.sum() / frames, 1.0))
             share = float((np.abs(np.log(ratio[fast]) - middle) < max(5e-3, 2 * width)).mean())
-            # In ties, up to rounding, the earlier one is kept: fewer frames, elapsed time.
+            # Of equal ones, up to rounding, the first is kept: fewer frames, elapsed time.
             if best is None or max(width, _ROUNDING) < (
                     1.0 if best[1].window.base == base else 0.5) * best[0]:
                 best = max(width, _ROUNDING), SpeedRatio(
@@ -116,7 +120,7 @@ def _durations(frames: int, t: np.ndarray, steps: np.ndarray,
 
 
 def _shorth(values: np.ndarray) -> tuple[float, float]:
-    """Middle and width of the shortest interval that holds half of the `values` (n,)."""
+    """Return middle and width of the shortest interval that holds half of the `values` (n,)."""
     ordered = np.sort(values)
     half = max(1, len(ordered) // 2)
     widths = ordered[half:] - ordered[:-half]
@@ -126,10 +130,10 @@ def _shorth(values: np.ndarray) -> tuple[float, float]:
 
 def settle_scale(path: Path, robots: Sequence[Part], timelines: Sequence[RowTimes],
                  answers: Answers, said: Assumptions) -> Scale:
-    """Scale of the positions of all `robots` of a file at `path`, checked against `answers`.
+    """Return the scale of positions of all `robots` of the file `path`, checked by `answers`.
 
-    `timelines` hold the times of the robots' rows as each sheet states them. InputError where the
-    stated scale contradicts the speeds of the table, or two robots have different scales.
+    `timelines` hold the times of the robots' rows; `said` collects assumptions. Raises InputError
+    if the stated scale contradicts the speeds of the table, or two robots have different scales.
     """
     sheet, columns = robots[0]
     x = next(column for column in columns if column.role == 'x')
@@ -176,8 +180,7 @@ class _Found:
 
 def _common_ratio(robots: Sequence[Part], timelines: Sequence[RowTimes], lenient: bool,
                   ) -> _Found | None:
-    """The ratio that all robots of a file have; InputError where theirs differ, unless `lenient`.
-    """
+    """Return the ratio common to all robots; InputError if they differ, unless `lenient`."""
     found: list[_Found] = []
     for (sheet, columns), timeline in zip(robots, timelines, strict=True):
         for x in (column for column in columns if column.role == 'x'):
@@ -224,7 +227,7 @@ def _ratio_of(sheet: Sheet, columns: Sequence[Column], x: Column, timeline: RowT
 
 def _refuse_two_scales(sheet: Sheet, name: str, ratio: SpeedRatio, speed: np.ndarray,
                        z: np.ndarray, t: np.ndarray) -> None:
-    """InputError where the rows that do not have the `ratio` have another one in common."""
+    """Raise InputError if the rows without this `ratio` share another one."""
     if not ratio.exact or ratio.share > 0.9:
         return
     frames, steps = ratio.window.frames, np.diff(t, prepend=np.nan)
@@ -243,7 +246,7 @@ def _refuse_two_scales(sheet: Sheet, name: str, ratio: SpeedRatio, speed: np.nda
 
 
 def _pixels(found: _Found | None) -> float | None:
-    """Pixel size [m] that the speeds tell; None where they tell none."""
+    """Return the pixel size [m] given by the speeds; None if they give none."""
     if found is None or found.factor is None:
         return None
     if found.ratio.exact and abs(found.ratio.value - 1) < _EXACT and not found.named:
@@ -253,7 +256,7 @@ def _pixels(found: _Found | None) -> float | None:
 
 
 def _check_unit(sheet: Sheet, x: Column, unit: str, factor: float, found: _Found) -> None:
-    """InputError where speeds contradict the `unit` of positions."""
+    """Raise InputError if speeds contradict the `unit` of positions."""
     if found.factor is None:
         return
     expected = factor / found.factor
@@ -267,7 +270,7 @@ def _check_unit(sheet: Sheet, x: Column, unit: str, factor: float, found: _Found
 
 
 def _rounded(size: float, ratio: SpeedRatio) -> tuple[float, str]:
-    """A pixel size [m] to the digits that are known, and its error for people."""
+    """Return a pixel size [m] to its known digits, and its error for messages."""
     if ratio.exact:
         return float(f'{size:.4g}'), ''
     return float(f'{size:.3g}'), f' ± {100 * ratio.error:.1g} %'

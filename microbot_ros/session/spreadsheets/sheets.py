@@ -1,4 +1,4 @@
-"""Any table a laboratory keeps, as sheets of named columns, and what people answer about it."""
+"""Tables of a laboratory as sheets of named columns, and the user's answers about them."""
 
 from __future__ import annotations
 
@@ -24,14 +24,13 @@ _BLANK = ('', 'nan', 'na', 'n/a', 'none', '-')
 
 @dataclass(frozen=True)
 class Answers:
-    """Answers to what a file leaves open, in SI; None where it is left to detection.
+    """User's answers to what a file leaves open, in SI; None: to be detected.
 
-    `columns` gives the name of the column for a role; `position_unit`, `time_unit`, `angle_unit`
-    and `field_unit` are suffixes as `units` knows them; `pixel_size` [m]; `y_axis`, the way it
-    points; `times`, what the column of times holds; `frame_rate` [Hz]; `angle_sense`, which way
-    angles grow; `angle_offset` [rad], what the table's angles are too large by; `full_scale` [T],
-    the field of a share of 1; `ignore_speed`, whether the speeds in the table say nothing about
-    the scale of its positions.
+    `columns` names the column of a role; `position_unit`, `time_unit`, `angle_unit` and
+    `field_unit` are suffixes of `units`; `pixel_size` [m]; `y_axis`, its direction; `times`, the
+    meaning of the time column; `frame_rate` [Hz]; `angle_sense`; `angle_offset` [rad], by which
+    angles are too large; `full_scale` [T], the field of a share of 1; `ignore_speed`, whether
+    speeds in the table say nothing about the scale of its positions.
     """
 
     columns: dict[str, str] = field(default_factory=dict)
@@ -50,16 +49,16 @@ class Answers:
 
 
 class Assumptions(list[str]):
-    """What was taken for granted, a sentence each and no sentence twice."""
+    """Assumptions of an import, a sentence each without repetition."""
 
     def __init__(self, sentences: Iterable[str] = ()) -> None:
         super().__init__(sentences)
         self._sheets: dict[str, tuple[int, list[str]]] = {}
 
     def add(self, sentence: str, sheet: str = '') -> None:
-        """Note a `sentence`, about one `sheet` or about all.
+        """Add a `sentence` about one `sheet` or about all.
 
-        Where it holds for several sheets they share a line.
+        A sentence about several sheets takes one line.
         """
         if not sheet:
             if sentence not in self:
@@ -75,8 +74,11 @@ class Assumptions(list[str]):
 
 @dataclass(frozen=True)
 class Sheet:
-    """One table: `source` is its file and `name` what people call it; `rows` hold as many cells
-    as there are `names`, and row i stands in line `lines[i]` of the file."""
+    """One table.
+
+    `source` is its file and `name` that for messages; `rows` hold as many cells as there are
+    `names`, and row i is in line `lines[i]` of the file.
+    """
 
     source: Path
     name: str
@@ -90,7 +92,7 @@ class Sheet:
         return str(self.source) if self.name == self.source.stem else f'{self.source}[{self.name}]'
 
     def numbers(self, column: int) -> np.ndarray:
-        """A column as floats (n,), NaN where a cell is blank; InputError for text."""
+        """Return a `column` as floats (n,), NaN for blank cells; InputError for text."""
         values = np.empty(len(self.rows))
         for i, row in enumerate(self.rows):
             value = _number(row[column])
@@ -103,14 +105,16 @@ class Sheet:
         return values
 
     def witness(self, column: int) -> np.ndarray:
-        """A column as floats (n,), NaN for whatever is no number."""
+        """Return a `column` as floats (n,), NaN for everything else."""
         values = (_number(row[column]) for row in self.rows)
         return np.array([np.nan if value is None else value for value in values])
 
 
 def read_sheets(path: Path) -> tuple[list[Sheet], list[str]]:
-    """All sheets of a spreadsheet, of a text file, or of a folder of text files, and sentences
-    that say what was taken for granted."""
+    """Read all sheets of a spreadsheet, a text file, or a folder of text files at `path`.
+
+    Sentences on assumptions are returned too.
+    """
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in _TEXTS)
         if not files:
@@ -168,7 +172,7 @@ def _read_text(path: Path) -> tuple[Sheet, str]:
 
 
 def _delimiter(lines: list[str]) -> str | None:
-    """The mark that divides every line alike; None for blanks."""
+    """Return the character that divides every line alike; None for blanks."""
     for mark in (';', '\t', ','):
         counts = Counter(line.count(mark) for line in lines)
         if counts and counts.most_common(1)[0][0] > 0:
@@ -181,14 +185,14 @@ def _with_point(cell: str) -> str:
 
 
 def _sheet(path: Path, name: str, rows: list[tuple[Any, ...]]) -> Sheet | None:
-    """The table below the first row that looks like a header; None where there is none."""
+    """Return the table below the first row that looks like a header; None if there is none."""
     numbered = [(i, row) for i, row in enumerate(rows, 1) if any(not _blank(c) for c in row)]
     header = next((k for k, (_, row) in enumerate(numbered) if _words(row) >= 2), None)
     if header is None or header + 1 == len(numbered):
         return None
     names = [str(cell).strip() if not _blank(cell) else '' for cell in numbered[header][1]]
     body = numbered[header + 1:]
-    # Some programs explain their columns in further rows of words.
+    # Some programs describe their columns in further rows of words.
     while len(body) > 1 and _words(body[0][1]) == sum(not _blank(c) for c in body[0][1]):
         body = body[1:]
     for line, row in body:
@@ -199,7 +203,7 @@ def _sheet(path: Path, name: str, rows: list[tuple[Any, ...]]) -> Sheet | None:
 
 
 def _words(row: tuple[Any, ...]) -> int:
-    """How many cells of a row are neither numbers nor blank."""
+    """Return the number of cells of a row that are neither numbers nor blank."""
     return sum(_number(cell) is None for cell in row)
 
 
@@ -208,7 +212,7 @@ def _blank(cell: Any) -> bool:
 
 
 def _number(cell: Any) -> float | None:
-    """A cell as a number, NaN where it is blank, None where it is text; dates in seconds."""
+    """Return a cell as a number, NaN if blank, None for text; dates in seconds."""
     if _blank(cell):
         return math.nan
     if isinstance(cell, datetime):

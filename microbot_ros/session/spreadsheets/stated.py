@@ -1,4 +1,4 @@
-"""What people state about a table, as the command line and `archive.yaml` have it."""
+"""User's statements about a table, as on the command line and in `archive.yaml`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FieldUnit = Literal['mT', 'T', 'G', 'fraction']
 
 
 class Stated(Settings):
-    """Options of an import by the names of the command line; None where nothing is stated."""
+    """Options of an import, named as on the command line; None if not stated."""
 
     columns: dict[str, str] = pydantic.Field(default_factory=dict)
     position_unit: PositionUnit | None = None
@@ -42,7 +42,7 @@ class Stated(Settings):
         return columns
 
     def answers(self) -> Answers:
-        """The same in SI, for `import_session`."""
+        """Return the same in SI, for `import_session`."""
         def suffix(unit: str | None) -> str | None:
             return unit and f'_{unit}'
 

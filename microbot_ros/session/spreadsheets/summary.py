@@ -1,4 +1,4 @@
-"""Tables that hold a laboratory's results and not a recording."""
+"""Tables that hold a laboratory's results instead of a recording."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ class SummaryError(InputError):
     """A table holds averages and no recording."""
 
 
-_MOST_ROWS = 500
+_MOST_ROWS = 500  # choice: a longer table is a recording
 _AVERAGE = re.compile(r'\b(avg|average|mean|median|std|stdev|sd|sem|error|ci)\b', re.IGNORECASE)
 
 
 def summary_of(parts: Sequence[tuple[Sheet, list[Column]]]) -> str:
-    """Return a sentence on the averages that the sheets hold; '' where they hold none.
+    """Return a sentence on the averages in the sheets; '' if there are none.
 
-    `parts` are the sheets with the columns that are known. A summary has a column of what was
-    commanded, such as a frequency, whose values do not repeat, and columns of averages beside it.
+    `parts` are the sheets with their known columns. A summary has a column of commands, such as a
+    frequency, whose values do not repeat, and columns of averages.
     """
     for sheet, columns in parts:
         against = next((c for c in columns if c.role in ('frequency', 'bx', 'direction')), None)

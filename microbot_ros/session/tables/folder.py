@@ -26,10 +26,12 @@ from microbot_ros.session.tables.plausibility import LARGEST_ID
 from microbot_ros.session.tables.table import Layout, Table, read_table, write_table
 
 NOMINAL_FIELD = 1e-3
-"""Magnitude [T] given to a rolling field where a session states none: only its direction and
-frequency are known."""
+"""Choice: field [T] given to a rolling field if a session states none.
 
-# `sigma_um` and `field_mT` keep what a recording knows; the columns of images are for people.
+Only its direction and frequency are known then.
+"""
+
+# `sigma_um` and `field_mT` preserve data of recordings; the columns in pixels are for people.
 TRACKS = Layout(
     ('t_s', 'particle', 'x_um', 'y_um'), ('theta_rad', 'sigma_um'),
     ('frame', 'x_px', 'y_px', 'kind'),
@@ -45,7 +47,7 @@ _SUFFIXED = {
 
 
 class SessionFile(Settings):
-    """`session.yaml`, all of it optional."""
+    """`session.yaml`; all keys are optional."""
 
     propulsion: Literal['catalytic', 'rolling'] | None = None
     radius_um: pydantic.PositiveFloat | None = None
@@ -67,7 +69,7 @@ class SessionFile(Settings):
         return height
 
     def conditions(self, rolling: bool) -> Conditions:
-        """The conditions in SI; where the propulsion is not said, `rolling` commands say it."""
+        """Return the conditions in SI; `rolling` commands replace a missing propulsion."""
         values = {
             name: exact_si(key, value)
             for name, key in _SUFFIXED.items() if (value := getattr(self, key)) is not None
@@ -77,14 +79,14 @@ class SessionFile(Settings):
 
     @property
     def speed_window(self) -> SpeedWindow | None:
-        """How the tables that the session was imported from measure speed."""
+        """Definition of speed in the tables from which the session was imported."""
         if self.speed_window_frames is None:
             return None
         return SpeedWindow(self.speed_window_frames, self.speed_window_base)
 
 
 def session_text(session: Session) -> str:
-    """The content of `session.yaml`."""
+    """Return the content of `session.yaml` for a `session`."""
     conditions = session.conditions
     content: dict[str, object] = {'propulsion': conditions.propulsion}
     for name, key in _SUFFIXED.items():
@@ -98,11 +100,11 @@ def session_text(session: Session) -> str:
 
 
 def read_folder(path: Path) -> Session:
-    """The session in a folder; without `commands.csv` nothing was commanded.
+    """Read the session in the folder `path`; without `commands.csv` nothing was commanded.
 
-    Raises InputError (file, line, expectation) for anything that is not as documented: wrong
-    columns, what is not a number, times that go back, a particle twice at one time, commands
-    that begin only after the tracks have ended.
+    Raises InputError (file, line, expectation) for wrong columns, text instead of numbers, times
+    that go back, a particle twice at one time, and commands that begin after the tracks have
+    ended.
     """
     if not (path / 'tracks.csv').is_file():
         inside = [item.name for item in sorted(path.iterdir()) if any(item.glob('*.mcap'))]
@@ -127,10 +129,10 @@ def read_folder(path: Path) -> Session:
 
 
 def write_folder(path: Path, session: Session) -> None:
-    """Write a session as a folder, all of it or nothing.
+    """Write a `session` to the folder `path`, all of it or nothing.
 
-    `read_folder` gives the numbers of the tables back bit for bit, but for the components of a
-    rolling field, which go through its direction.
+    `read_folder` restores the numbers bit for bit, except for the components of a rolling field,
+    which pass through its direction.
     """
     tracks, commands = session.tracks, session.commands
     measured = {'t_s': tracks.t, 'x_um': tracks.position[:, 0], 'y_um': tracks.position[:, 1]}
@@ -158,7 +160,7 @@ def _read_tracks(path: Path) -> Tracks:
     table.refuse(~whole, f"expected a whole number from 0 to {LARGEST_ID} in 'particle'")
     table.refuse(np.abs(t - t.min()) > LONGEST_S,
                  f'expected times within {LONGEST_S:g} s of the first')
-    # Files may list frame by frame or particle by particle: each particle's own times ascend.
+    # Files may list frame by frame or particle by particle: times ascend for each particle.
     by_particle = np.argsort(particle, kind='stable')
     step, same = np.diff(t[by_particle]), np.diff(particle[by_particle]) == 0
     back, twice = np.zeros(len(t), bool), np.zeros(len(t), bool)

@@ -1,4 +1,4 @@
-"""Whether the numbers of a session are those of a rig."""
+"""Check that the numbers of a session are plausible for a rig."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from microbot_ros.common.records import Session
 from microbot_ros.common.units import from_si
 
 LARGEST_ID = 2**32 - 1
-"""The largest that a message can carry."""
+"""Largest identity that a message can carry."""
 
 
 def check_session(path: Path, session: Session) -> None:
-    """InputError that names `path` and the first number of a `session` that no rig has.
+    """Raise InputError naming `path` and the first implausible number of a `session`.
 
-    NaN, for what is not known, is none of these.
+    NaN, for unknown values, is allowed.
     """
     tracks, commands = session.tracks, session.commands
     numbers = {

@@ -1,7 +1,7 @@
-"""Checked CSV tables whose numbers survive the way there and back to the last bit.
+"""Validated CSV tables whose numbers survive a round trip to the last bit.
 
-Units are changed in decimals (`units.exact_si`): `0.1` in a column `x_um` is the double nearest to
-1e-7, and that double is written as `0.1` again.
+Units are converted in decimals (`units.exact_si`): `0.1` in a column `x_um` is the double nearest
+to 1e-7, and that double is written as `0.1` again.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from microbot_ros.common.units import exact_display, exact_si, from_si
 
 @dataclass(frozen=True)
 class Layout:
-    """The columns of one kind of table; the unit of each is the suffix of its name.
+    """Columns of one kind of table; the unit of each is the suffix of its name.
 
-    All of `required` must be there; cells of `optional` columns may be empty (NaN); `ignored`
-    columns may hold anything.
+    All `required` ones must exist; cells of `optional` ones may be empty (NaN); `ignored` ones may
+    hold anything.
     """
 
     required: tuple[str, ...]
@@ -33,7 +33,10 @@ class Layout:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns by name, (rows,) each and in SI, and the line of the file each row came from."""
+    """Table read from `path` with a `layout`.
+
+    `columns` by name, (rows,) each in SI, and `lines` of the file for each row.
+    """
 
     path: Path
     layout: Layout
@@ -41,18 +44,16 @@ class Table:
     lines: np.ndarray
 
     def refuse(self, bad: np.ndarray, expected: str) -> None:
-        """Raise InputError, naming what was `expected`, at the first row where `bad` (rows,) is
-        true.
-        """
+        """Raise InputError with `expected` at the first row where `bad` (rows,) is true."""
         if bad.any():
             raise InputError(self.path, expected, int(self.lines[np.argmax(bad)]))
 
 
 def read_table(path: Path, *layouts: Layout) -> Table:
-    """A CSV file that follows one of the layouts, its columns in any order.
+    """Read a CSV file at `path` that follows one of the `layouts`, its columns in any order.
 
-    Raises InputError with file, line and expectation for a file that is missing, empty, not
-    text, or holds anything but plausible numbers under the names of a layout.
+    Raises InputError with file, line and expectation if it is missing, empty, not text, or holds
+    anything but plausible numbers under the names of a layout.
     """
     try:
         text = path.read_text(encoding='utf-8-sig')
@@ -82,14 +83,14 @@ def read_table(path: Path, *layouts: Layout) -> Table:
 
 
 def write_table(path: Path, columns: dict[str, np.ndarray]) -> None:
-    """Columns in SI as a CSV file in the units of their names; NaN as an empty cell."""
+    """Write `columns` in SI as a CSV file `path` in the units of their names; NaN is empty."""
     texts = [[to_text(value, name) for value in columns[name].tolist()] for name in columns]
     rows = (','.join(row) for row in zip(*texts, strict=True))
     path.write_text('\n'.join([','.join(columns), *rows, '']), encoding='utf-8')
 
 
 def to_text(value: float, name: str) -> str:
-    """An SI value as decimal text in the unit of its name; '' for NaN, exact otherwise."""
+    """Return an SI `value` as decimal text in the unit of its `name`; '' for NaN, else exact."""
     if math.isnan(value):
         return ''
     if isinstance(value, int):
@@ -137,8 +138,8 @@ def _column(
 
 
 def _number(cell: str, name: str) -> float:
-    """The SI value of decimal text in the unit of its name; NaN if it is no number."""
-    if '_' in cell:  # Python's, nobody else's
+    """Return the SI value of decimal text in the unit of its name; NaN if it is not a number."""
+    if '_' in cell:  # digit separators of Python, which are no number elsewhere
         return math.nan
     try:
         return exact_si(name, cell)

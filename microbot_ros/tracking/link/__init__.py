@@ -1,1 +1,1 @@
-"""Which detection is which particle, from frame to frame."""
+"""Linking of detections to particles, from frame to frame."""

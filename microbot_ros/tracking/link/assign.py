@@ -1,4 +1,4 @@
-"""The most likely one-to-one assignment of detections to predictions."""
+"""Maximum-likelihood one-to-one assignment of detections to predictions."""
 
 from __future__ import annotations
 
@@ -10,16 +10,22 @@ import numpy as np
 from microbot_ros.common.compiled import numba
 
 _TAIL = 8.0
-"""Degrees of freedom of a displacement's distribution: particles start, stop and turn at once."""
+"""Choice: degrees of freedom of displacements; heavy tails, since particles start and stop."""
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Which prediction is which detection: arrays of equal length K.
+    """Assigned predictions and detections, arrays of equal length K.
 
-    `track` and `detection` rows of each; `doubt` the probability that the prediction is another
-    detection, or none, by the likelihood of what is next likely; `astray` the variance per
-    coordinate [px²] of where it would be then, about the detection that it was given.
+    Attributes
+    ----------
+    track, detection : (K,) int array
+        Rows of the prediction and the detection.
+    doubt : (K,) array
+        Probability that the prediction is another detection or none, by the likelihood of the next
+        best alternatives.
+    astray : (K,) array [px²]
+        Variance per coordinate of its place in that case, about the assigned detection.
     """
 
     track: np.ndarray
@@ -33,19 +39,31 @@ def assign(
     unlikely: np.ndarray, found: np.ndarray, noise: np.ndarray, found_looks: np.ndarray,
     spread: float, stranger: float,
 ) -> Pairs:
-    """Rows of predictions and of detections that belong together.
+    """Assign detections to predictions by the likelihood of the whole picture.
 
-    `predicted` (N, 2) [px] with variance per coordinate (N,) and the farthest distance to look,
-    `reach` (N,) [px]; `found` (M, 2) with variance `noise` (M,); `looks` (N, F) and `found_looks`
-    (M, F) are traits that vary by `spread` from frame to frame; `unlikely` (N,) is the
-    negative logarithm of how likely each is to be seen at all. Maximises the likelihood of the
-    whole picture: displacements follow Student's t, and `stranger` [1/px²] is the likelihood that
-    a particle goes unseen and a new one turns up instead.
+    Displacements follow Student's t distribution.
+
+    Parameters
+    ----------
+    predicted : (N, 2) array [px]
+    variance, reach : (N,) array [px²], [px]
+        Variance per coordinate, and largest distance to search.
+    looks : (N, F) array
+        Traits of the predicted particles.
+    unlikely : (N,) array
+        −ln of the probability that each is visible.
+    found : (M, 2) array [px]
+    noise : (M,) array [px²]
+    found_looks : (M, F) array
+    spread : float
+        Standard deviation of the traits from frame to frame.
+    stranger : float
+        Likelihood [1/px²] that a particle is missed and a new one appears instead.
     """
     limit = -math.log(stranger)
     track, detection, cost, alone = _pairs(
         predicted, variance, reach, looks, unlikely, found, noise, found_looks, spread, limit)
-    # Costs are relative to `limit`, so that leaving both alone costs nothing.
+    # Costs are relative to `limit`, so that assigning neither costs nothing.
     cost -= limit
     lone = Pairs(track[alone], detection[alone], 1 / (1 + np.exp(-cost[alone])),
                  variance[track[alone]])
@@ -60,9 +78,9 @@ def assign(
 @numba.njit(cache=True)
 def _pairs(  # type: ignore[no-untyped-def]
         predicted, variance, reach, looks, unlikely, found, noise, found_looks, spread, limit):
-    """Prediction, detection and cost (K,) of all pairs likelier than strangers.
+    """Return prediction, detection and cost (K,) of all pairs more likely than strangers.
 
-    And whether neither of the two is in another pair.
+    Also whether neither of the two is in another pair.
     """
     pairs = []
     rivals, found_rivals = np.zeros(len(predicted), np.int64), np.zeros(len(found), np.int64)
@@ -93,7 +111,7 @@ def _pairs(  # type: ignore[no-untyped-def]
 
 def _clusters(track: np.ndarray, detection: np.ndarray, cost: np.ndarray, variance: np.ndarray,
               found: np.ndarray) -> list[Pairs]:
-    """Solve each group of predictions and detections that compete with one another."""
+    """Solve each group of competing predictions and detections."""
     from scipy.optimize import linear_sum_assignment
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -118,10 +136,10 @@ def _clusters(track: np.ndarray, detection: np.ndarray, cost: np.ndarray, varian
 
 @numba.njit(cache=True)
 def _doubts(cost, track, detection, variance, found):  # type: ignore[no-untyped-def]
-    """`Pairs.doubt` and `Pairs.astray` (K,) within a group, of the pairs that were chosen.
+    """Return `Pairs.doubt` and `Pairs.astray` (K,) within a group, for the chosen pairs.
 
-    In place of each pair its track may be at any other detection, whose own track is then at
-    that of the pair, or unseen; or it may be unseen itself. `cost` (N, M + N) of all pairs.
+    Alternatives: the track is at any other detection, whose own track is then at that of the pair
+    or missed; or it is missed itself. `cost` (N, M + N) of all pairs.
     """
     owner = np.full(len(found), -1)
     for n in range(len(track)):

@@ -1,4 +1,4 @@
-"""Which particles may be others than their identities say, and how far off they would be then."""
+"""Particles whose identity is uncertain, and how far off they would be."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from microbot_ros.tracking.link.states import UNNAMED, TrackStates
 
 _OF_ONE = re.compile(r'particle (\d+) (.*)')
 _NAMED = 5
-"""Particles that are named where the same is said of many."""
+"""Choice: particles listed if the same is reported of many."""
 
 _SURE = 0.05
-"""Probability of being another up to which an identity counts as sure."""
+"""Choice: probability of being another particle up to which an identity counts as certain."""
 
 
 def note_doubt(states: TrackStates, pairs: Pairs) -> None:
-    """Note in the `states` which of the `pairs`, whose tracks are rows of theirs, may be wrong."""
+    """Record in `states` which of the `pairs`, whose tracks are rows of it, may be wrong."""
     new = (pairs.doubt > _SURE) & (states.id[pairs.track] != UNNAMED)
     rows = pairs.track[new]
     states.doubt[rows] = np.maximum(states.doubt[rows], pairs.doubt[new])
@@ -29,9 +29,9 @@ def note_doubt(states: TrackStates, pairs: Pairs) -> None:
 
 
 def grow_doubt(states: TrackStates, frames: float, motion: Motion) -> None:
-    """Let those who are in doubt be farther off after so many usual `frames`, by their `motion`.
+    """Increase the uncertainty of particles in doubt after `frames` intervals, by their `motion`.
 
-    Who is another has gone its own way since: ⟨r²⟩ = S t + V t² per coordinate.
+    A swapped particle moved independently since: ⟨r²⟩ = S t + V t² per coordinate.
     """
     unsure = states.doubt > 0
     before = states.unsure[unsure]
@@ -41,8 +41,9 @@ def grow_doubt(states: TrackStates, frames: float, motion: Motion) -> None:
 
 
 def settle_doubt(states: TrackStates, patience: int) -> None:
-    """Take those for what their identities say who are seen and in doubt for over `patience`
-    frames: by then whoever follows one has made its acquaintance anew.
+    """Accept identities of visible particles that were in doubt for over `patience` frames.
+
+    By then a controller that follows one has learned its behaviour anew.
     """
     settled = (states.unsure > patience) & (states.missed == 0)
     for value in (states.doubt, states.unsure, states.astray):
@@ -50,16 +51,16 @@ def settle_doubt(states: TrackStates, patience: int) -> None:
 
 
 def doubt_told(states: TrackStates) -> dict[str, str]:
-    """A sentence for each named particle that is in doubt: kind of remark → sentence."""
+    """Return a sentence for each named particle in doubt: kind of remark → sentence."""
     return {f'doubt {name}': f'particle {name} may be two: it was lost from sight, or met one '
                              'like it'
             for name in states.id[(states.doubt > 0) & (states.id != UNNAMED)].tolist()}
 
 
 def together(sentences: Iterable[str]) -> dict[str, list[int]]:
-    """The `sentences` in order, those that say the same of several particles as one.
+    """Merge `sentences` that say the same of several particles, in order.
 
-    And which of them, counted from 0, each is made of.
+    Returns the merged sentences, each with the positions of its sources, counted from 0.
     """
     said: dict[str, list[tuple[int, str]]] = {}
     for place, sentence in enumerate(sentences):

@@ -1,4 +1,4 @@
-"""A jump of the whole picture, or its shaking: somebody touched the table, or a pump runs."""
+"""A jump or shaking of the whole picture: someone touches the table, a pump runs."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from microbot_ros.common.compiled import numba
 from microbot_ros.tracking.refine.neighbours import count_within
 
 _LEAST = 3
-"""Particles: fewer can't tell a jump of the picture from motion of their own."""
+"""Choice: particles needed to tell a jump of the picture from their own motion."""
 
 _FEW = 5
-"""Particles: fewer can't tell that it shakes, for less than what they step themselves."""
+"""Choice: particles needed to detect shaking by less than their own steps."""
 
 _VOTERS = 50
-"""Particles that are asked; the others are as good."""
+"""Choice: particles used for the vote; more add time and no accuracy."""
 
 _SUPPORT = 0.6
-"""Share of the particles that must have made the jump."""
+"""Choice: share of the particles that must have made the jump."""
 
 
 def common_displacement(
     expected: np.ndarray, found: np.ndarray, tolerance: float, size: tuple[int, int],
 ) -> np.ndarray | None:
-    """The displacement (2,) [px] that brings most of `expected` (N, 2) onto `found` (M, 2).
+    """Return the displacement (2,) [px] that maps most `expected` (N, 2) to `found` (M, 2) [px].
 
-    None where half of them are within `tolerance` [px] of a detection as it is, or where no
-    displacement up to a quarter of the picture `size` (height, width) explains most of them.
-    Found by vote: each pair of a particle and a detection proposes its offset, and the offset
-    with most others within the tolerance wins.
+    None if half of them are within `tolerance` [px] of a detection already, or if no displacement
+    up to a quarter of the picture `size` (height, width) explains most of them. Found by vote:
+    each pair of a particle and a detection proposes its offset; the offset with most others within
+    the tolerance wins.
     """
     if len(expected) < _LEAST or len(found) < _LEAST:
         return None
@@ -55,10 +55,10 @@ def common_displacement(
 def common_shake(
     expected: np.ndarray, found: np.ndarray, reach: float, tolerance: float,
 ) -> np.ndarray | None:
-    """The displacement (2,) [px] of up to `reach` that most of `expected` (N, 2) have made alike.
+    """Return the displacement (2,) [px] of up to `reach` that most of `expected` (N, 2) share.
 
-    `found` (M, 2) [px] are the detections. Alike is within `tolerance` [px]; by the same vote as a
-    jump. None where few tell, or differ.
+    `found` (M, 2) [px] are the detections. Offsets within `tolerance` [px] count as equal; the
+    vote is that of a jump. None if there are few or they differ.
     """
     if len(expected) < _FEW or len(found) < _FEW:
         return None
@@ -75,7 +75,7 @@ def common_shake(
 
 @numba.njit(cache=True)
 def _offsets(places, found, reach):  # type: ignore[no-untyped-def]
-    """From each of the places to all that was found up to `reach` away: (K, 2)."""
+    """Return the offsets (K, 2) from each place to all detections up to `reach` away."""
     offsets = []
     for i in range(len(places)):
         for k in range(len(found)):

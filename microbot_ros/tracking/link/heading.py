@@ -1,4 +1,4 @@
-"""Front and back of what is longer than wide: the outline tells its axis, its way the front."""
+"""Front and back of elongated bodies: the outline gives the axis, the motion the front."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 from microbot_ros.tracking.link.states import TrackStates
 
 _MEMORY = 100.0
-"""Frames over which the way of a body along its axis counts."""
+"""Choice: frames over which the motion along the axis is averaged."""
 
 _ENOUGH = 1.0
-"""Widths: who has gone so far backwards has its front there."""
+"""Choice: widths travelled backwards after which front and back are swapped."""
 
 
 def orient(states: TrackStates, rows: np.ndarray, step: np.ndarray) -> None:
-    """Turn `theta` of those `rows` (K,) of `states`, known up to half a turn, to the tail.
+    """Point `theta` of the `rows` (K,) of `states`, known up to half a turn, at the tail.
 
-    An axis goes on where it was, and never turns by more than a quarter from frame to frame; the
-    front is where it went, on the whole: `step` (K, 2) [px] is the last part of its way. A tail
-    is what a cap is of a sphere: behind. θ is between 0 and 2π.
+    An axis never turns by more than a quarter between frames; the front is the direction of
+    average motion, `step` (K, 2) [px] being the last displacement. The tail corresponds to the cap
+    of a sphere: behind. θ is between 0 and 2π.
     """
     theta, before = states.theta[rows], states.tail[rows]
     theta = np.where(np.cos(theta - before) < 0, theta + math.pi, theta)

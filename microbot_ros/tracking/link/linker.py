@@ -1,4 +1,4 @@
-"""Which detection is which particle: prediction, gating, global assignment, birth and death."""
+"""Linking of detections: prediction, gating, global assignment, birth and death of tracks."""
 
 from __future__ import annotations
 
@@ -31,34 +31,35 @@ from microbot_ros.tracking.refine.neighbours import count_within
 from microbot_ros.tracking.settings import TrackerSettings
 
 _MISS_RATE = 0.02
-"""Probability that a particle in view is not detected in a frame."""
+"""Choice: probability that a visible particle is not detected in a frame."""
 
 _BIRTHS = (0.5, 0.02)
-"""New particles per frame: the first guess, and the least that is reckoned with."""
+"""Choices: new particles per frame, initially and at least."""
 
 _OVERLAP = 1.0
-"""Diameters: particles nearer than this overlap in the picture."""
+"""Choice: diameters below which two particles overlap in the picture."""
 
 _TOUCHED, _HIDDEN = 0.1, 0.35
-"""Diameters: error of a position where two particles overlap, and where one is seen for two."""
+"""Choices, in diameters: position error where particles overlap, and where one hides another."""
 
 _JUMPED = 0.5
-"""Diameters: when most particles are off by more, the picture may have jumped."""
+"""Choice: diameters by which most particles are off when a jump is considered."""
 
 _SHAKEN, _ALIKE = 0.1, 0.15
-"""Diameters: common displacements that are made up for, and how far from one another they lie."""
+"""Choices, in diameters: common displacements that are compensated, and their tolerance."""
 
 _GOES_ON = 0.25
-"""Share of a common displacement by which it may be off the last one's way to be one motion."""
+"""Choice: relative deviation from the last common displacement up to which it is one motion."""
 
 _EXPECTED_FOR = 5
-"""Frames for which an unseen particle is still looked for at its prediction."""
+"""Choice: frames for which a missed particle is still searched at its prediction."""
 
 class Linker:
     """Follows particles from frame to frame. Identities count up from 0 and are never reused.
 
-    Who is unseen for longer than `coast_frames` is let go, but remembered: see `Lost`. `size` is
-    the height and width [px] of the pictures.
+    A particle that is missed for more than `coast_frames` is dropped, but remembered: see `Lost`.
+    `settings` and `appearance` describe the particles; `size` is height and width of the pictures
+    [px].
     """
 
     def __init__(
@@ -80,40 +81,40 @@ class Linker:
             self._early_frames)
         self._lost = Lost(self.states)
         self.named = self.states
-        """The particles that were given their identities in the last frame."""
+        """Particles that received their identities in the last frame."""
 
     def look_for(self, settings: TrackerSettings, appearance: Appearance) -> None:
-        """Go on by other `settings`, with particles of another `appearance`."""
+        """Continue with other `settings` and particles of another `appearance`."""
         self._diameter = appearance.diameter_px
         self._settings = settings
-        # Round particles that touch are told apart by the fit; outlines run into one.
+        # The fit separates round particles that touch; outlines merge.
         self._merging = not appearance.round
-        # Of a body of a taught kind the outline shows an axis; of a cap, the direction.
+        # The outline of a taught kind shows an axis only, a cap shows a direction.
         self._axes = bool(settings.kinds)
         self.max_step_px = settings.max_step_px or appearance.diameter_px
 
     def renumber_kinds(self, numbers: np.ndarray) -> None:
-        """Kind k is number `numbers`[k] from now on; −1: none, and its particles are let go."""
+        """Renumber kind k as `numbers`[k]; −1 drops the kind and its particles."""
         self.states = _renumbered(self.states, numbers)
         self._lost.states = _renumbered(self._lost.states, numbers)
 
     @property
     def jump(self) -> float:
-        """How far the whole picture jumped in the last frame [px]; 0 where it did not."""
+        """Jump of the whole picture in the last frame [px]; 0 if there was none."""
         size = 0.0 if self._jump is None else float(np.linalg.norm(self._jump))
         return size if size > _JUMPED * self._diameter else 0.0
 
     @property
     def doubts(self) -> dict[str, str]:
-        """Who may be another than its identity says: kind of remark → sentence."""
+        """Particles with uncertain identity: kind of remark → sentence."""
         return doubt_told(self.states)
 
     def predict(self, dt: float, drive: complex) -> None:
-        """Move all to where they should be `dt` [s] later, after so much drive."""
+        """Predict all particles `dt` [s] ahead, under a `drive` integrated over that time."""
         self._interval = dt if self._interval is None else 0.95 * self._interval + 0.05 * dt
         everybody = self.states, self._lost.states
         if abs(drive) / dt > 1.01 * self._drive_rate:
-            # What was learned from less drive, or from a part of a frame, says next to nothing.
+            # Values learned under less drive, or in part of a frame, are too uncertain to keep.
             self._drive_rate = abs(drive) / dt
             for states in everybody:
                 states.forget_velocity_phasor(self._phasor_variance)
@@ -124,19 +125,19 @@ class Linker:
 
     @property
     def _phasor_variance(self) -> float:
-        """What is reckoned with before a particle's velocity phasor is known."""
+        """Variance of a velocity phasor before it is learned."""
         if self._drive_rate == 0.0 or self._interval is None:
             return 0.0
         return (self.max_step_px / 4 / (self._drive_rate * self._interval)) ** 2
 
     def expected(self) -> np.ndarray:
-        """Positions (M, 2) [px] at which named particles are to be looked for."""
+        """Return positions (M, 2) [px] at which named particles are to be searched."""
         states = self.states
         near = (states.id != UNNAMED) & (states.missed < _EXPECTED_FOR)
         return states.xy[near]
 
     def update(self, found: Detections) -> None:
-        """Give each detection to a particle, or to a new one; drop who was unseen too long."""
+        """Assign each detection `found` to an old or a new particle; drop those long missed."""
         states = self.states
         offset = self._jumped(found)
         found, noise = self._doubted(found)
@@ -147,7 +148,7 @@ class Linker:
             track = self._merge(track, found, detection)
         alone = np.ones(len(track), bool)
         if self._merging:
-            # What a clump looks like says nothing about its parts, once they part.
+            # The appearance of a clump is not that of its parts after they separate.
             alone = ~np.isin(states.id[track], states.host[states.host >= 0])
         before = states.measured[track]
         self._motion.learn(*_take_over(
@@ -157,7 +158,7 @@ class Linker:
             states.missed, states.early))
         if self._axes:
             orient(states, track, states.measured[track] - before)
-        # In an outline that it shares, it is not known to be in the middle.
+        # In a shared outline a particle need not be in the middle.
         states.correct(track, found.xy[detection], np.where(
             alone, noise[detection], np.maximum(noise, found.radius**2)[detection]))
         states.outline[track] = found.radius[detection]
@@ -177,10 +178,10 @@ class Linker:
             self.states = self.states.join(self._initiate_tracks(found[fresh]))
 
     def _jumped(self, found: Detections) -> np.ndarray:
-        """Where to look beside the predictions (2,) [px], if the whole picture moved.
+        """Return the offset (2,) [px] of the predictions, if the whole picture moved.
 
-        A jump is no velocity, nor is shaking: the states take it as their new place. What goes on
-        in the next frame is motion in common, and is left to the filter.
+        A jump or shaking is not a velocity: the states take it as a new position. If it continues
+        in the next frame it is common motion, which is left to the filter.
         """
         states = self.states
         seen = states.xy[(states.id != UNNAMED) & (states.missed == 0)]
@@ -195,7 +196,7 @@ class Linker:
         return np.zeros(2)
 
     def _moved(self, seen: np.ndarray, found: np.ndarray) -> np.ndarray | None:
-        """The displacement (2,) [px] of the whole picture, if it is enough to mislead."""
+        """Return the displacement (2,) [px] of the whole picture, if large enough to mislead."""
         jump = common_displacement(seen, found, _JUMPED * self._diameter, self._size)
         if jump is not None:
             return jump
@@ -205,10 +206,10 @@ class Linker:
         return shake
 
     def _doubted(self, found: Detections) -> tuple[Detections, np.ndarray]:
-        """Detections with larger σ where one is seen for two; the variance (N,) to link with.
+        """Return detections with larger σ where one hides another, and the linking variance.
 
-        What the fit says of itself holds for a particle on its own: where particles overlap, a
-        position may be off by more, and must not bend the prediction.
+        The error of the fit holds for isolated particles: where particles overlap, a position may
+        be off by more, and must not distort the prediction.
         """
         if self._merging or len(found) == 0:
             return found, found.sigma**2 + LEAST_SIGMA**2
@@ -233,15 +234,15 @@ class Linker:
 
     @property
     def _strangers(self) -> float:
-        """How many turn up in a frame, per px²."""
+        """New particles per frame and px²."""
         return self._birth_rate / (self._size[0] * self._size[1])
 
     def _merge(
         self, track: np.ndarray, found: Detections, detection: np.ndarray
     ) -> np.ndarray:
-        """Let named particles that vanish into the outline of another go on with it.
+        """Attach named particles that vanish into another's outline; return the tracks (N,).
 
-        The older of the two keeps the outline. Returns the tracks of the detections.
+        The older of the two keeps the outline.
         """
         states, track = self.states, self._hosts_first(track)
         lost = np.setdiff1d(np.flatnonzero((states.id != UNNAMED) & (states.host < 0)), track)
@@ -260,10 +261,10 @@ class Linker:
         return track
 
     def _hosts_first(self, track: np.ndarray) -> np.ndarray:
-        """The tracks of the detections, with the host in place of who goes with it unseen.
+        """Return the tracks of the detections, with the host in place of particles merged into it.
 
-        As long as there is one outline for both, it goes on as that of the host, whatever the
-        looks that each had on its own.
+        As long as both share one outline, it is that of the host, whatever both looked like
+        before.
         """
         states, track, row = self.states, track.copy(), self._row_of_name()
         for k in np.flatnonzero(states.host[track] >= 0):
@@ -273,7 +274,7 @@ class Linker:
         return track
 
     def _follow_hosts(self) -> None:
-        """Merged particles are where their host is, give or take its radius."""
+        """Place merged particles at their host, with its radius as uncertainty."""
         states, row = self.states, self._row_of_name()
         states.host[states.missed == 0] = -1
         for i in np.flatnonzero(states.host >= 0):
@@ -315,14 +316,14 @@ class Linker:
             self.named = states.take(due)
 
     def _recognise(self, rows: np.ndarray) -> None:
-        """Give their identities back to those of these new rows who were lost."""
+        """Return their identities to those of the new `rows` that were lost."""
         states, lost = self.states, self._lost.states
         pairs = self._lost.returned(states.take(rows), self._strangers)
         back = rows[pairs.detection]
         for name in ('id', 'hits', 'kind', 'doubt', 'unsure', 'astray'):
             getattr(states, name)[back] = getattr(lost, name)[pairs.track]
         note_doubt(states, replace(pairs, track=back))
-        # No number is left out.
+        # Numbers stay consecutive.
         strangers = np.setdiff1d(rows, back)
         states.id[strangers] = self._next_id + np.arange(len(strangers))
         self._lost.states = lost.take(np.setdiff1d(np.arange(len(lost)), pairs.track))
@@ -335,7 +336,7 @@ class Linker:
 
 
 def _renumbered(states: TrackStates, numbers: np.ndarray) -> TrackStates:
-    """Those of kinds that go on: kind k is number `numbers`[k], and none where that is −1."""
+    """Return the states with kind k renumbered as `numbers`[k], dropped where that is −1."""
     kind = numbers[states.kind]
     states = states.take(kind >= 0)
     states.kind = kind[kind >= 0]
@@ -343,16 +344,16 @@ def _renumbered(states: TrackStates, numbers: np.ndarray) -> TrackStates:
 
 
 def _goes_on(before: np.ndarray, now: np.ndarray) -> bool:
-    """Whether a displacement (2,) is of the same motion as that before, as far as not learned."""
+    """Return whether a displacement (2,) continues the last one, as far as not yet learned."""
     share = np.clip(now @ before / (before @ before), 0, 1)
     return bool(np.linalg.norm(now - share * before) < _GOES_ON * np.linalg.norm(now))
 
 
 @numba.njit(cache=True)
 def _search(covariance, missed, host, ids, outline, max_step):  # type: ignore[no-untyped-def]
-    """Variance [px²] of every particle's place, and how far [px] it is looked for: (N,).
+    """Return the position variance [px²] of every particle and its search radius [px], (N,).
 
-    Where two go in one outline, neither is known to be in the middle of it.
+    If two share an outline, neither is known to be in its middle.
     """
     variance, reach = np.empty(len(missed)), np.empty(len(missed))
     for n in range(len(missed)):
@@ -368,7 +369,7 @@ def _search(covariance, missed, host, ids, outline, max_step):  # type: ignore[n
 
 @numba.njit(cache=True)
 def _overlapping(xy, sigma, named, diameter):  # type: ignore[no-untyped-def]
-    """σ (N,) of detections, larger where one is seen for two, and the variance to link with."""
+    """Return σ (N,) of detections, larger where one hides another, and the linking variance."""
     wide, noise = np.empty(len(sigma)), np.empty(len(sigma))
     detections = count_within(xy, xy, _OVERLAP * diameter)
     expected = count_within(xy, named, _OVERLAP * diameter)
@@ -385,9 +386,9 @@ def _take_over(  # type: ignore[no-untyped-def]
         track, detection, xy, found_sigma, found_theta, found_contrast, found_radius, alone,
         expected_step, certain, measured, step, sigma, theta, contrast, radius, hits, missed,
         early):
-    """Note in the states how the particles look; what is published is the measurement itself.
+    """Write appearance and measurements into the states; published positions are measurements.
 
-    The displacements (M, 2) of those followed through, in the frame before too, and σ (M,).
+    Returns the displacements (M, 2) of particles followed in this frame and the last, and σ (M,).
     """
     steps, previous = np.empty((len(track), 2)), np.empty((len(track), 2))
     spread, count = np.empty(len(track)), 0
@@ -418,7 +419,7 @@ def _take_over(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _staying(ids, motion, missed, host, coasting, size):  # type: ignore[no-untyped-def]
-    """Which particles (N,) are still followed."""
+    """Return which particles (N,) are still followed."""
     stay = np.empty(len(ids), np.bool_)
     for n in range(len(ids)):
         x, y = motion[n, PLACE].real, motion[n, PLACE].imag

@@ -1,4 +1,4 @@
-"""Those who went unseen for too long to be carried on: where each may be, and who came back."""
+"""Particles missed for too long to be carried on: where they may be, and their return."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from microbot_ros.tracking.link.looks import LOOKS_SPREAD, looks
 from microbot_ros.tracking.link.states import PLACE, TrackStates
 
 _REACH = 5.0
-"""Standard deviations of its place within which one that is lost is looked for."""
+"""Choice: standard deviations of its position within which a lost particle is searched."""
 
 
 class Lost:
-    """Remembers particles with their looks, and lets the region in which each may be grow.
+    """Remembers lost particles and their traits, with a growing region in which each may be.
 
-    Its motion makes the region; one is forgotten when it is so large that a stranger is as likely
-    anywhere in it. `states` are those remembered.
+    The region grows by the particle's motion; a particle is forgotten when a stranger is as likely
+    anywhere in it. `states` are those remembered, `nobody` the empty start.
     """
 
     def __init__(self, nobody: TrackStates) -> None:
         self.states = nobody
 
     def forget(self, strangers: float, size: tuple[int, int]) -> None:
-        """Forget who can't be known again, and who has left a picture of `size` (height, width).
+        """Forget particles that cannot be recognised any more or have left the picture.
 
-        `strangers` [1/px²] turn up in a frame.
+        `size` is (height, width); `strangers` [1/px²] appear per frame.
         """
         states = self.states
         x, y = states.xy.T
@@ -37,9 +37,9 @@ class Lost:
             self.states = states.take(likely & inside)
 
     def returned(self, fresh: TrackStates, strangers: float) -> Pairs:
-        """Who of the remembered is which of the `fresh`, rather than one of the `strangers`.
+        """Match the remembered particles with `fresh` ones, against `strangers`.
 
-        `strangers` [1/px²] turn up in a frame.
+        `strangers` [1/px²] appear per frame.
         """
         states = self.states
         return assign(
@@ -50,10 +50,10 @@ class Lost:
 
     @property
     def _variance(self) -> np.ndarray:
-        """Of each one's place (N,), per coordinate [px²]."""
+        """Variance (N,) of each position, per coordinate [px²]."""
         return self.states.covariance[:, PLACE, PLACE].real.copy()
 
     @property
     def _unlikely(self) -> np.ndarray:
-        """−ln (N,) of the odds to come back just now: after n frames without, 1 in n + 1."""
+        """−ln (N,) of the probability to return now: after n frames, 1 in n + 1."""
         return np.asarray(np.log1p(self.states.missed))

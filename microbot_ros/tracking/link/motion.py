@@ -1,4 +1,4 @@
-"""How particles move between frames, learned from the tracks themselves."""
+"""Motion of particles between frames, learned from the tracks."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import numpy as np
 from microbot_ros.common.compiled import numba
 
 _MEMORY = 2000.0
-"""Displacements over which the motion is averaged."""
+"""Choice: displacements over which the motion is averaged."""
 
 _PRIOR = 30.0
-"""Displacements that the first guess is worth."""
+"""Choice: weight of the first guess, in displacements."""
 
 
 _PERSISTENCE = 30.0
-"""Frames over which a velocity is expected to change."""
+"""Choice: frames over which a velocity is expected to change."""
 
 
 class Motion:
-    """Random steps on top of a velocity that persists: variances per coordinate, learned online.
+    """Random steps on top of a persistent velocity: variances per coordinate, learned online.
 
     Successive displacements d of a particle with velocity variance V, random step variance S per
-    second and localisation variance σ² have ⟨d²⟩ = V dt² + S dt + 2σ² and ⟨d d′⟩ = V dt² − σ² (V.
-    Berglund, Physical Review E 82, 011917, 2010, with a velocity added), so both follow from two
-    averages, and Brownian spheres and swimmers need no setting. `diameter_px` of the particles
-    sets what is believed before anything was seen.
+    second and localisation variance σ² have ⟨d²⟩ = V dt² + S dt + 2σ² and ⟨d d′⟩ = V dt² − σ² (A.
+    J. Berglund, Physical Review E 82, 011917, 2010, with a velocity added). Both follow from two
+    averages, so that Brownian spheres and swimmers need no setting. `diameter_px` of the particles
+    sets the prior.
     """
 
     def __init__(self, diameter_px: float) -> None:
@@ -37,12 +37,10 @@ class Motion:
         self._least = (0.02 * diameter_px) ** 2
 
     def learn(self, step: np.ndarray, previous: np.ndarray, sigma: np.ndarray) -> None:
-        """Add displacements `step` (N, 2) [px], those of the `previous` frame, and `sigma` (N,)
-        [px].
-        """
+        """Add displacements `step` (N, 2) [px], those of the `previous` frame, and `sigma`."""
         if len(step) == 0:
             return
-        # One wrong link must not widen the gate for all: long steps count as three usual ones.
+        # Limit long steps to three usual ones, so that one wrong link does not widen the gate.
         same, following, noise = _means(step, previous, sigma, 9 * self._same)
         self._weight = min(self._weight + len(step), _MEMORY)
         share = min(len(step) / self._weight, 1.0)
@@ -52,7 +50,7 @@ class Motion:
 
     @property
     def velocity_step(self) -> float:
-        """Variance per coordinate [px²] of the displacement that the velocity makes in a frame."""
+        """Variance per coordinate [px²] of a frame's displacement by velocity."""
         return max(self._next + self._noise, 0.0)
 
     @property
@@ -61,13 +59,13 @@ class Motion:
         return max(self._same - self.velocity_step - 2 * self._noise, self._least)
 
     def keep(self, frames: float) -> float:
-        """Share of a velocity that persists over so many usual frame intervals."""
+        """Return the share of a velocity that persists over `frames` usual intervals."""
         return math.exp(-frames / _PERSISTENCE)
 
 
 @numba.njit(cache=True)
 def _means(step, previous, sigma, bound):  # type: ignore[no-untyped-def]
-    """⟨d²⟩ and ⟨d d′⟩ per coordinate, each within the bound, and ⟨σ²⟩."""
+    """Return ⟨d²⟩ and ⟨d d′⟩ per coordinate, each limited to `bound`, and ⟨σ²⟩."""
     same = following = noise = 0.0
     for n in range(len(step)):
         same += min((step[n, 0]**2 + step[n, 1]**2) / 2, bound)

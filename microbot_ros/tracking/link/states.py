@@ -1,4 +1,4 @@
-"""The particles being followed: what is known of each, and the filter that keeps it so."""
+"""States of the followed particles, and their filter."""
 
 from __future__ import annotations
 
@@ -16,32 +16,48 @@ UNNAMED = -1
 """Identity of a particle that has not been seen often enough to have one."""
 
 LEAST_SIGMA = 0.05
-"""Pixels: no prediction is better than this, whatever the formulas say."""
+"""Choice: least uncertainty of a prediction [px]."""
 
 _SURPRISE = 9.0
-"""Squared innovation, in its variance, from which a particle is taken to have changed course."""
+"""Choice: squared innovation over its variance from which a particle has changed course."""
 
 _PHASOR_LASTS = 1000.0
-"""Frames over which a particle's velocity phasor is expected to change."""
+"""Choice: frames over which a particle's velocity phasor is expected to change."""
 
 
 @dataclass
 class TrackStates:
-    """The particles being followed, arrays of equal length N; px, s, rad.
+    """States of N followed particles, arrays of equal length.
 
-    `id` identities; `motion` (N, 3) complex, x + iy: place [px], velocity of its own [px/s],
-    velocity phasor [px per unit of the drive]: speed times e^{iφ}, the same at every direction of
-    the drive. `covariance` (N, 3, 3) Hermitian, of these, per coordinate. `measured` (N, 2) the
-    last measurement, with its `sigma`, `theta`, `contrast` and `radius`; `step` (N, 2) the
-    displacement to it that neither drive nor jump explains, NaN after a gap; `hits` the frames
-    seen, `missed` the frames since; `host` the identity of the particle that it has merged with,
-    −1 where it is on its own; `outline` [px] the radius of the last outline, of both where two are
-    in one; `early` (N, K, 2) the first K measurements; `kind` the number of its
-    kind when it was first seen. `doubt` the probability that it is another than its identity says,
-    0 where that is sure; `unsure` [s] for how long it has been so; `astray` [px²] the variance per
-    coordinate of where it would be then, about where it is seen. Of what is longer than wide:
-    `tail` the last direction of its tail, NaN before it shows, and `along` [px] how far it went
-    the other way lately.
+    Attributes
+    ----------
+    id : (N,) int array
+    motion : (N, 3) complex array
+        x + iy of position [px], own velocity [px/s], and velocity phasor [px per unit of drive]:
+        speed times e^{iφ}, equal for all directions of the drive.
+    covariance : (N, 3, 3) complex array
+        Hermitian covariance of `motion`, per coordinate.
+    measured, step : (N, 2) array [px]
+        Last measurement, and the displacement to it that neither drive nor jump explains, NaN
+        after a gap.
+    sigma, theta, contrast, radius : (N,) array [px], [rad], [grey], [px]
+        Of the last measurement.
+    hits, missed : (N,) int array
+        Frames seen, and frames since.
+    host : (N,) int array
+        Identity of the particle it has merged with, −1 if alone.
+    outline : (N,) array [px]
+        Radius of the last outline, of both if shared.
+    early : (N, K, 2) array [px]
+        First K measurements.
+    kind : (N,) int array
+        Kind when first seen.
+    doubt, unsure, astray : (N,) array
+        Probability of being another particle, how long that lasts [frames], and the variance per
+        coordinate of its place in that case [px²].
+    tail, along : (N,) array [rad], [px]
+        Of elongated bodies: last direction of the tail, NaN before it shows, and recent motion
+        away from it.
     """
 
     id: np.ndarray
@@ -70,35 +86,35 @@ class TrackStates:
 
     @property
     def xy(self) -> np.ndarray:
-        """Where the particles are taken to be, (N, 2) [px]."""
+        """Estimated positions (N, 2) [px]."""
         return planar(self.motion[:, PLACE])
 
     def velocity(self, drive_rate: complex) -> np.ndarray:
-        """Velocity (N, 2) [px/s] under a drive of `drive_rate` per second."""
+        """Return velocities (N, 2) [px/s] under a drive of `drive_rate` per second."""
         return planar(self.motion[:, VELOCITY] + drive_rate * self.motion[:, VELOCITY_PHASOR])
 
     def take(self, rows: np.ndarray) -> TrackStates:
-        """The particles of some `rows`, numbers or a mask."""
+        """Return the particles of `rows`, numbers or a mask."""
         return TrackStates(*(getattr(self, part.name)[rows] for part in fields(self)))
 
     def join(self, other: TrackStates) -> TrackStates:
-        """These and others."""
+        """Return these particles and those of `other`."""
         return TrackStates(*(
             np.concatenate([getattr(self, part.name), getattr(other, part.name)])
             for part in fields(self)
         ))
 
     def forget_velocity_phasor(self, variance: float) -> None:
-        """Start learning the velocity phasor anew, from nothing known to `variance`."""
+        """Reset the velocity phasors to zero with this `variance`."""
         self.motion[:, VELOCITY_PHASOR] = 0.0
         self.covariance[:, VELOCITY_PHASOR] = self.covariance[:, :, VELOCITY_PHASOR] = 0.0
         self.covariance[:, VELOCITY_PHASOR, VELOCITY_PHASOR] = variance
 
     def predict(self, dt: float, interval: float, drive: complex, motion: Motion,
                 phasor_variance: float) -> None:
-        """Move all on by `dt` [s], where frames usually come every `interval`, under `drive`.
+        """Predict all particles `dt` [s] ahead under `drive`; `interval` [s] is the usual one.
 
-        `phasor_variance` is that of a velocity phasor of which nothing is known.
+        `motion` gives the random steps; `phasor_variance` is that of an unknown velocity phasor.
         """
         frames = dt / interval
         keep = motion.keep(frames)
@@ -108,16 +124,14 @@ class TrackStates:
             phasor_variance * frames / _PHASOR_LASTS]))
 
     def correct(self, rows: np.ndarray, found: np.ndarray, noise: np.ndarray) -> None:
-        """Kalman update of some `rows` (K,) by the places `found` (K, 2) of variance `noise` (K,).
+        """Apply a Kalman update to `rows` (K,) by places `found` (K, 2) of variance `noise` (K,).
 
-        In Joseph's form: the short one lets rounding errors of a covariance grow.
+        Joseph's form, since the short form accumulates rounding errors of the covariance.
         """
         _correct(self.motion, self.covariance, rows, found, noise)
 
     def keep_within(self, rows: np.ndarray, middle: np.ndarray) -> None:
-        """Move those `rows` (K,) that have fallen behind back into their outlines, about the
-        `middle` (K, 2) [px] of each.
-        """
+        """Move `rows` (K,) back into their outlines about `middle` (K, 2) [px]."""
         behind = self.motion[rows, PLACE] - phasor(middle)
         away = np.maximum(np.abs(behind), 1e-9)
         self.motion[rows, PLACE] -= behind * np.maximum(1 - self.outline[rows] / away, 0)
@@ -125,7 +139,7 @@ class TrackStates:
 
 @numba.njit(cache=True)
 def _predict(motion, covariance, dt, drive, keep, added):  # type: ignore[no-untyped-def]
-    """Both after a step, in place; `added` (3,) is what chance adds to the variances."""
+    """Predict both in place; `added` (3,) are the random contributions to the variances."""
     for n in range(len(motion)):
         motion[n, 0] += dt * motion[n, 1] + drive * motion[n, 2]
         motion[n, 1] *= keep
@@ -141,13 +155,13 @@ def _predict(motion, covariance, dt, drive, keep, added):  # type: ignore[no-unt
 
 @numba.njit(cache=True)
 def _correct(motion, covariance, rows, found, noise):  # type: ignore[no-untyped-def]
-    """`TrackStates.correct`, in place."""
+    """Apply `TrackStates.correct` in place."""
     left, turned = np.empty((3, 3), np.complex128), np.empty((3, 3), np.complex128)
     for j, n in enumerate(rows):
         innovation = complex(found[j, 0], found[j, 1]) - motion[n, PLACE]
         square = innovation.real**2 + innovation.imag**2
         surprise = square / 2 / (covariance[n, PLACE, PLACE].real + noise[j])
-        # A particle that starts, stops or turns has outrun its covariance; let that catch up.
+        # A particle that starts, stops or turns has left its covariance, which is inflated.
         before = covariance[n] * max(surprise / _SURPRISE, 1.0)
         gain = before[:, PLACE] / (before[PLACE, PLACE].real + noise[j])
         left[:] = np.eye(3)
@@ -171,12 +185,18 @@ def initiate_tracks(
     radius: np.ndarray, kind: np.ndarray, velocity_variance: float, phasor_variance: float,
     early_frames: int,
 ) -> TrackStates:
-    """States of particles seen for the first time.
+    """Return states of particles seen for the first time.
 
-    `xy` (N, 2), `sigma`, `theta`, `contrast`, `radius` (N,) as measured,
-    and `kind`; `velocity_variance`
-    [px²/s²] and `phasor_variance` of what is not known yet; `early_frames` measurements will be
-    kept.
+    Parameters
+    ----------
+    xy : (N, 2) array [px]
+    sigma, theta, contrast, radius : (N,) array
+    kind : (N,) int array
+    velocity_variance : float [px²/s²]
+    phasor_variance : float
+        Variances of what is not known yet.
+    early_frames : int
+        Measurements to be kept.
     """
     count = len(xy)
     early = np.full((count, early_frames, 2), np.nan)
@@ -197,11 +217,11 @@ def initiate_tracks(
 
 
 def phasor(xy: np.ndarray) -> np.ndarray:
-    """Vectors `xy` (..., 2) as complex x + iy (...)."""
+    """Convert vectors `xy` (..., 2) to complex x + iy (...)."""
     return xy[..., 0] + 1j * xy[..., 1]
 
 
 def planar(z: np.ndarray) -> np.ndarray:
-    """Complex `z` = x + iy (...) as vectors (..., 2)."""
+    """Convert complex `z` = x + iy (...) to vectors (..., 2)."""
     parts: np.ndarray = np.ascontiguousarray(z).view(float).reshape(*z.shape, 2)
     return parts

@@ -1,1 +1,1 @@
-"""Where in a picture something is: bodies, their kinds, what stands still."""
+"""Detection in a picture: bodies, their kinds, and what stands still."""

@@ -1,8 +1,8 @@
-"""Bodies of any size and shape: what stands out of the light, with the outline at half its height.
+"""Bodies of any size and shape, with the outline at half their height above the illumination.
 
-No size is asked for. A body is a maximum of the contrast together with all that is connected to it
-at more than half its height; a maximum from which one gets to a higher one without going below
-half is a part of that one's body, or of nothing.
+No size is needed. A body is a maximum of the contrast with all that is connected to it at more
+than half its height. A maximum connected to a higher one above half of its own height is a part of
+that one's body, or of none.
 """
 
 from __future__ import annotations
@@ -16,36 +16,49 @@ from microbot_ros.tracking.locate.search import block_mean, pixel_noise
 from microbot_ros.tracking.refine.fit import FAST
 
 _HALF = 0.5
-"""Share of a body's height at which its outline runs."""
+"""Choice: share of a body's height at which its outline runs."""
 
 _NECK = 0.85
-"""Share of the height of the lower of two known bodies that touch up to which they are two."""
+"""Choice: share of the lower body's height up to which a neck parts two known bodies."""
 
 _LEAST_AREA = 6
-"""Shrunk pixels: what is smaller has no shape."""
+"""Choice: shrunk pixels; anything smaller has no shape."""
 
 _LIGHT = 3.0
-"""Widths of the largest body: across the neighbourhood whose median is the light."""
+"""Choice: widths of the largest body across the neighbourhood whose median is the light."""
 
 _SMOOTH = 0.8
-"""Shrunk pixels: the blur that keeps noise from making maxima of its own."""
+"""Choice: blur [shrunk px] that suppresses maxima of noise."""
 
 
 @dataclass(frozen=True)
 class Bodies:
     """Bodies of one picture, arrays of equal length N.
 
-    `xy` (N, 2) [px] the centroid of the contrast above the outline's; `height` the largest
-    contrast [grey]; `width` the diameter of a disc of equal area [px]; `edge` the width of the
-    edge [px]: half the height over its slope at the outline, small in focus; `length` the ratio of
-    length to width of the ellipse with the same second moments; `fill` the area over that of this
-    ellipse: 1 for a disc or a rod, less for what is bent or branched; `halo` how far the picture
-    beside it goes to the other side of the light, as a share of the height; `angle` the direction
-    of its length [rad, image sense], between 0 and π; `cut` whether it touches the edge of the
-    picture; `lower` (N, 2) and `upper` (N, 2) the corners of the box around it [px]; `weight` the
-    sum of the contrast above the outline's over the largest, and `spread` the sum of the squared
-    distances of the outline's inside from the centroid, both in shrunk pixels: they tell how well
-    the centroid is known.
+    Attributes
+    ----------
+    xy : (N, 2) array [px]
+        Centroid of the contrast above that of the outline.
+    height : (N,) array [grey]
+        Largest contrast.
+    width : (N,) array [px]
+        Diameter of a disc of equal area.
+    edge : (N,) array [px]
+        Width of the edge: half the height over its slope at the outline, small in focus.
+    length, fill : (N,) array
+        Length over width of the ellipse with equal second moments, and area over that of this
+        ellipse: 1 for a disc or a rod, less for bent or branched bodies.
+    halo : (N,) array
+        Contrast of the opposite sign next to it, as a share of the height.
+    angle : (N,) array [rad]
+        Direction of its length, image sense, between 0 and π.
+    cut : (N,) bool array
+        Whether it touches the edge of the picture.
+    lower, upper : (N, 2) array [px]
+        Corners of its bounding box.
+    weight, spread : (N,) array [shrunk px]
+        Sum of the contrast above the outline's over the largest, and sum of squared distances from
+        the centroid; they give the error of the centroid.
     """
 
     xy: np.ndarray
@@ -70,17 +83,17 @@ class Bodies:
 
 
 def contrast(image: np.ndarray, shrink: int, widest_px: float, dark: bool) -> np.ndarray:
-    """How much darker, or brighter, than the light an `image` (H, W) is: float32, by `shrink`.
+    """Return how an `image` (H, W) differs from its illumination, float32, shrunk by `shrink`.
 
-    Darker where `dark`.
-    The light is the median of a neighbourhood in which a body of `widest_px` is the lesser part.
+    Positive where darker if `dark`, else where brighter. The illumination is the median over a
+    neighbourhood in which a body of `widest_px` is the smaller part.
     """
     import cv2
 
     small = block_mean(image, shrink)
     coarse = max(1, int(widest_px * _LIGHT / shrink / 16))
     cells = block_mean(small, coarse)
-    # OpenCV's large medians are for bytes; the light needs no finer steps than a byte's.
+    # OpenCV's large medians need bytes, which resolve the illumination well enough.
     low, high = float(cells.min()), max(float(cells.max()), float(cells.min()) + 1.0)
     scale = 255.0 / (high - low)
     across = int(widest_px * _LIGHT / shrink / coarse) // 2 * 2 + 1
@@ -98,12 +111,23 @@ def find_bodies(
     image: np.ndarray, dark: bool, least_height: float, shrink: int, widest_px: float,
     nearest_px: float = 0.0, known: np.ndarray | None = None,
 ) -> Bodies:
-    """The bodies of an `image` (H, W), `dark` or bright by at least `least_height` [grey].
+    """Find the bodies of an image.
 
-    The picture is shrunk by `shrink`; bodies are at most `widest_px` wide, what is wider is light.
-    Maxima nearer than `nearest_px` belong to one body. Where several are `known` to be (M, 2) [px]
-    in one outline, each with a maximum of its own, they are parted at the neck; one that is known
-    and touches a higher one is no part of that one's body.
+    Parameters
+    ----------
+    image : (H, W) array
+    dark : bool
+        Whether bodies are darker than the illumination, else brighter.
+    least_height : float [grey]
+    shrink : int
+        Factor by which the picture is shrunk.
+    widest_px : float
+        Largest width; anything wider is illumination.
+    nearest_px : float
+        Maxima nearer than this belong to one body.
+    known : (M, 2) array [px], optional
+        Expected bodies. Several in one outline, each with a maximum of its own, are parted at the
+        neck; one that touches a higher body is not part of that body.
     """
     import cv2
 
@@ -147,9 +171,9 @@ def _described(rows: np.ndarray, shrink: int, shape: tuple[int, ...]) -> Bodies:
 
 @numba.njit(cache=True, nogil=True)
 def _bodies(picture, least, most, known):  # type: ignore[no-untyped-def]
-    """Rows of sums (N, 16), in order of the names above, for bodies of at most `most` pixels.
+    """Return rows of sums (N, 16), in order of the names above, for bodies up to `most` pixels.
 
-    Those `known` (M, 2) that share an outline are bodies of their own.
+    Those `known` (M, 2) that share an outline are separate bodies.
     """
     places = _maxima(picture, least)
     owner = np.zeros(picture.shape, np.int32)
@@ -182,9 +206,9 @@ def _bodies(picture, least, most, known):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _seeds(owner, name, places, known):  # type: ignore[no-untyped-def]
-    """Which of the maxima at `places` (N, 2) in the body `name` are nearest to those `known`.
+    """Return which maxima of `places` (N, 2) in the body `name` are nearest to `known` ones.
 
-    The highest first; only that of the body where fewer than two are known to be in it.
+    The highest comes first; only that of the body if fewer than two are known in it.
     """
     inside = _inside(owner, name, known)
     if len(inside) < 2:
@@ -203,7 +227,7 @@ def _seeds(owner, name, places, known):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _inside(owner, name, known):  # type: ignore[no-untyped-def]
-    """Which of those `known` (M, 2) are in the body `name`."""
+    """Return which of `known` (M, 2) are in the body `name`."""
     inside = np.zeros(len(known), np.bool_)
     for n in range(len(known)):
         x, y = round(known[n, 0]), round(known[n, 1])
@@ -214,10 +238,10 @@ def _inside(owner, name, known):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _parted(owner, picture, name, pixels, seeds):  # type: ignore[no-untyped-def]
-    """The part (n,), from 0, to which each of the `pixels` (n, 2) of the body `name` belongs.
+    """Return the part (n,), from 0, of each of the `pixels` (n, 2) of the body `name`.
 
-    Each of the `seeds` (K, 2), the highest first, begins a part with what is above its neck, and
-    the rest goes to the part from which it is reached first. Meanwhile `owner` says −1 − part.
+    Each of the `seeds` (K, 2), the highest first, starts a part with all above its neck; other
+    pixels join the part that reaches them first. Meanwhile `owner` holds −1 − part.
     """
     queue, count, parts = np.empty(pixels.shape, np.int64), 0, 0
     for k in range(len(seeds)):
@@ -243,9 +267,9 @@ def _parted(owner, picture, name, pixels, seeds):  # type: ignore[no-untyped-def
 
 @numba.njit(cache=True, nogil=True)
 def _core(picture, owner, name, label, seed, queue, start):  # type: ignore[no-untyped-def]
-    """Where the `queue` ends that had `start` rows, with what is above the neck of a `seed`.
+    """Add all above the neck of a `seed` to a `queue` of `start` rows; return its new length.
 
-    As it was where that is a part of another: then there is no neck between them.
+    The length is unchanged if the seed is part of another: there is no neck between them.
     """
     level = _NECK * picture[seed[0], seed[1]]
     if owner[seed[0], seed[1]] != name:
@@ -273,7 +297,7 @@ def _core(picture, owner, name, label, seed, queue, start):  # type: ignore[no-u
 
 @numba.njit(cache=True, fastmath=FAST)
 def _maxima(picture, least):  # type: ignore[no-untyped-def]
-    """Rows and columns (N, 2) of the local maxima above `least`, the highest first."""
+    """Return rows and columns (N, 2) of the local maxima above `least`, the highest first."""
     height, width = picture.shape
     found = [(0, 0)]
     values = [np.float32(0.0)]
@@ -300,11 +324,10 @@ def _maxima(picture, least):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _flood(picture, owner, place, name, stack, most, walled):  # type: ignore[no-untyped-def]
-    """The pixels connected to a maximum at `place` at more than half its height, in `stack`; how
-    many.
+    """Fill `stack` with the pixels connected to a maximum above half its height; return the count.
 
-    0 where it reaches a higher pixel, or more than `most`. What belongs to another body is left
-    out where that is `walled` off; where it is not, minus their number as soon as it is reached.
+    0 if it reaches a higher pixel or more than `most`. Pixels of another body are skipped if
+    `walled`; otherwise minus the number of pixels is returned as soon as one is reached.
     """
     y, x = place
     if owner[y, x] > 0:
@@ -338,9 +361,9 @@ def _flood(picture, owner, place, name, stack, most, walled):  # type: ignore[no
 
 @numba.njit(cache=True)
 def _sum(picture, stack, level, row):  # type: ignore[no-untyped-def]
-    """Sums over the pixels `stack` (n, 2) of one body, above a `level`; see the names above.
+    """Write sums over the pixels `stack` (n, 2) of one body above a `level`; see the names above.
 
-    Pixels weigh by what they are above it: one that noise takes in or leaves out changes nothing.
+    Pixels are weighted by their excess, so that pixels that noise adds or removes have no effect.
     """
     height, width = picture.shape
     count, top = len(stack), np.float32(0.0)
@@ -381,7 +404,7 @@ def _sum(picture, stack, level, row):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _halo(picture, row):  # type: ignore[no-untyped-def]
-    """How far the picture goes to the other side of the light within some pixels of a body."""
+    """Return the largest contrast of opposite sign within a few pixels of a body."""
     height, width = picture.shape
     margin = 2 + int(0.25 * np.sqrt(row[_AREA]))
     deepest = np.float32(0.0)

@@ -1,4 +1,4 @@
-"""What a camera or a recorder has written into the pictures: it has none of the sensor's noise."""
+"""Text that a camera or recorder wrote into the pictures: it has no sensor noise."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from microbot_ros.tracking.locate.kinds import Kind
 from microbot_ros.tracking.locate.standing import Place
 
 LEAST_FRAMES = 8
-"""Pictures that it takes to see whether a place has noise."""
+"""Choice: pictures needed to see whether a place has noise."""
 
 _QUIET = 0.3
-"""Noise over that of the whole picture below which a place has none of its own."""
+"""Choice: noise over that of the whole picture below which a place has none of its own."""
 
 _MOSTLY = 75
-"""Percentage of the pixels of a body that must be quiet: its rim may be half see-through."""
+"""Choice: percentage of quiet pixels of a body; its rim may be half transparent."""
 
 _LEAST_NOISE = 0.4
-"""Grey levels: with less noise all over, resting things are as quiet (codecs make them so)."""
+"""Choice: grey levels of noise below which resting objects look quiet too (codecs)."""
 
 _SAMPLES = 64
-"""Points across the shorter side at which the noise of the picture is read."""
+"""Choice: points across the shorter side at which the noise is sampled."""
 
 
 def burnt_in(frames: Sequence[np.ndarray], kinds: Sequence[Kind]) -> tuple[Place, ...]:
-    """Where in `frames` (H, W), a moment apart, something burnt in looks like one of the `kinds`.
+    """Return places in `frames` (H, W), a moment apart, where burnt-in text looks like a kind.
 
-    A robot at rest stands as still, but has the noise of the sensor, which differs from picture to
-    picture; letters don't. None where there are too few pictures, or no noise to tell by.
+    `kinds` are those searched. A resting robot stands as still, but has the sensor's noise, which
+    differs between pictures. Empty for too few pictures or too little noise.
     """
     if len(frames) < LEAST_FRAMES:
         return ()
@@ -46,20 +46,20 @@ def burnt_in(frames: Sequence[np.ndarray], kinds: Sequence[Kind]) -> tuple[Place
 
 
 def _alike(image: np.ndarray, kind: Kind) -> Bodies:
-    """All that may be taken for a `kind` that is known to be there."""
+    """Return all bodies that may be taken for a `kind` known to be there."""
     bodies = find_bodies(image, kind.dark, 0.6 * kind.height_grey[0], kind.shrink,
                          kind.width_px[1], kind.parts_px)
     return bodies[kind.members(bodies, np.ones(len(bodies), bool))]
 
 
 def _noise(frames: Sequence[np.ndarray]) -> np.ndarray:
-    """Of each pixel (H, W), by the differences of successive `frames`: drifts of light cancel."""
+    """Return the noise of each pixel (H, W) from differences of `frames`, free of light drift."""
     steps = np.diff(np.array(frames, np.float32), axis=0)
     return np.asarray(np.sqrt(np.mean(steps**2, axis=0) / 2))
 
 
 def _own_noise(frames: Sequence[np.ndarray], bodies: Bodies, n: int, dark: bool) -> float:
-    """The noise [grey] that most of the pixels within the outline of body `n` don't exceed."""
+    """Return the noise [grey] that most pixels within the outline of body `n` do not exceed."""
     (left, top), (right, bottom) = bodies.lower[n].astype(int), bodies.upper[n].astype(int) + 1
     boxes = [frame[top:bottom, left:right] for frame in frames]
     last = boxes[-1].astype(float)

@@ -1,4 +1,4 @@
-"""Colour: the sum of red, green and blue that shows best what was pointed at, as grey values."""
+"""Colour: the weighted sum of red, green and blue that shows the taught bodies best."""
 
 from __future__ import annotations
 
@@ -10,28 +10,29 @@ import numpy as np
 from microbot_ros.common.errors import InputError
 
 _TELLS = 2.0
-"""How much better than brightness colour must separate, to be used: codecs blur and coarsen it."""
+"""Choice: least gain of separation over brightness; codecs blur and coarsen colour."""
 
 _CLEAR = 3.0
-"""Standard deviations from which on two spots are told apart by their colour."""
+"""Choice: standard deviations from which two spots differ in colour."""
 
 _SPOT, _AROUND = 5, 201
-"""Pixels across what is taken as a body's colour, and as that of the light around it."""
+"""Choices: pixels across the sample of a body's colour, and of the light around it."""
 
 _DIRECTIONS = 2000
-"""Sums of the three colours that are tried."""
+"""Choice: weightings of the three colours that are tried."""
 
 _BRIGHTNESS = np.array([0.114, 0.587, 0.299])
-"""Of blue, green and red, as in ITU-R BT.601."""
+"""Weights of blue, green and red in brightness (ITU-R BT.601)."""
 
 Weights = tuple[float, float, float]
-"""Of red, green and blue."""
+"""Weights of red, green and blue."""
 
 
 @dataclass(frozen=True)
 class Spot:
-    """Where somebody pointed in a `picture` (H, W, 3), blue first: at `x`, `y` [px] is one of a
-    `kind`, or, where that is None, something else.
+    """Point given by a person in a `picture` (H, W, 3), blue first, at `x`, `y` [px].
+
+    It is of a `kind`, or, if that is None, something else.
     """
 
     picture: np.ndarray
@@ -41,10 +42,10 @@ class Spot:
 
 
 def weighted(picture: np.ndarray, weights: Weights) -> np.ndarray:
-    """A `picture` (H, W, 3 or 4), blue first, as grey (H, W) of its depth, by `weights`.
+    """Convert a `picture` (H, W, 3 or 4), blue first, to grey (H, W) of its depth by `weights`.
 
-    Their absolute values count as shares; the middle of the scale stays where it is. Raises
-    InputError for a picture without colours.
+    Their absolute values count as shares; the middle of the scale stays. Raises InputError for a
+    picture without colours.
     """
     import cv2
 
@@ -59,14 +60,14 @@ def weighted(picture: np.ndarray, weights: Weights) -> np.ndarray:
 
 
 def telling_weights(spots: Sequence[Spot]) -> tuple[Weights, float] | None:
-    """The weights that separate the `spots` best, and how many times better than brightness.
+    """Return the weights that separate the `spots` best, and the gain over brightness.
 
-    From the light around and from one another, as far as they are of different kinds: in standard
-    deviations of all that is in the pictures, so that what others show is suppressed. None where
-    brightness does as well, by a factor of two.
+    They separate the spots from the light around and, for different kinds, from each other, in
+    standard deviations of all pixels, so that other objects are suppressed. None if brightness
+    does as well, to a factor of two.
     """
     apart = [np.empty((0, 3))]
-    scatter = np.eye(3) / 12  # that of rounding
+    scatter = np.eye(3) / 12  # variance of rounding
     for picture in {id(spot.picture): spot.picture for spot in spots}.values():
         mine = [spot for spot in spots if spot.picture is picture]
         if picture.ndim != 3 or not all(_inside(spot) for spot in mine):
@@ -98,7 +99,7 @@ def _inside(spot: Spot) -> bool:
 
 
 def _local(picture: np.ndarray) -> np.ndarray:
-    """How the colours (H, W, 3) of pixels differ from the light around them."""
+    """Return the difference (H, W, 3) of pixels from the light around them."""
     import cv2
 
     colours = picture[..., :3].astype(np.float32)
@@ -106,7 +107,7 @@ def _local(picture: np.ndarray) -> np.ndarray:
 
 
 def _spots(spots: list[Spot], local: np.ndarray) -> np.ndarray:
-    """The colours (S, 3) of some `spots`."""
+    """Return the colours (S, 3) of `spots`."""
     import cv2
 
     smooth = cv2.blur(local, (_SPOT, _SPOT))
@@ -114,9 +115,7 @@ def _spots(spots: list[Spot], local: np.ndarray) -> np.ndarray:
 
 
 def _scatter(local: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Covariance (3, 3) of all pixels but those that are more like what is `shown` (S, 3) than
-    like the light: to be told is what others show.
-    """
+    """Return the covariance (3, 3) of pixels that are unlike what is `shown` (S, 3)."""
     pixels = local[::3, ::3].reshape(-1, 3)
     alike = np.zeros(len(pixels), bool)
     for colour in shown:
@@ -125,7 +124,7 @@ def _scatter(local: np.ndarray, shown: np.ndarray) -> np.ndarray:
 
 
 def _differences(spots: list[Spot], shown: np.ndarray) -> np.ndarray:
-    """Colours (P, 3) from which those of the kinds in one picture are to be told: pairwise."""
+    """Return the colours (P, 3) to be distinguished in one picture, pairwise."""
     kinds = [spot.kind for spot in spots]
     pairs = [shown[j] for j, kind in enumerate(kinds) if kind is not None]
     pairs += [shown[j] - shown[k] for j in range(len(spots)) for k in range(j)
@@ -135,13 +134,13 @@ def _differences(spots: list[Spot], shown: np.ndarray) -> np.ndarray:
 
 def _information(directions: np.ndarray, differences: np.ndarray, scatter: np.ndarray
                  ) -> np.ndarray:
-    """How much (D, P) each of the `directions` (D, 3) tells of each difference: ½ ln(1 + d′²)."""
+    """Return ½ ln(1 + d′²) (D, P) of each difference along each of `directions` (D, 3)."""
     spread = np.einsum('di,ij,dj->d', directions, scatter, directions)
     return np.asarray(np.log1p((directions @ differences.T) ** 2 / spread[:, None]) / 2)
 
 
 def _half_sphere() -> np.ndarray:
-    """Directions (D, 3), evenly spread: a spiral by the golden angle."""
+    """Return evenly spread directions (D, 3): a spiral by the golden angle."""
     k = np.arange(_DIRECTIONS)
     z = (k + 0.5) / _DIRECTIONS
     around = np.pi * (3 - np.sqrt(5)) * k

@@ -27,37 +27,47 @@ from microbot_ros.tracking.refine.neighbours import doubled
 from microbot_ros.tracking.settings import TrackerSettings
 
 _NONE = np.empty((0, 3))
-_ITERATIONS = 3
-_SWEEPS = 6
+_ITERATIONS, _SWEEPS = 3, 6  # choices: Gauss–Newton steps of a particle; turns among neighbours
 
 _CLOSEST = 0.4
-"""Diameters: two fits nearer than this are one particle twice."""
+"""Choice: diameters below which two fits are the same particle."""
 
 _OWN_PEAK = 0.6
-"""Diameters: a peak nearer than this to where a particle is expected may be it."""
+"""Choice: diameters from an expected particle within which a peak may be its own."""
 
 _TOUCHING = 1.3
-"""Diameters: a peak nearer than this to where a particle is expected may hide it."""
+"""Choice: diameters from an expected particle within which a peak may hide it."""
 
 _STRANGE = 0.1
-"""Share of the picture that shows neither light nor particles, from which on people are told."""
+"""Choice: share of the picture with neither light nor particles that is reported."""
 
 _ALIKE = 3.0
-"""Pixels over which the difference of a particle from the learned picture is alike: found with
-the virtual rig's microscopes, whose spheres rise and sink through the focus."""
+"""Correlation length [px] of a particle's deviation from the learned picture.
+
+Measured with the virtual rig's microscopes, whose spheres rise and sink through the focus.
+"""
 
 _THETA_KNOWN = 0.6
-"""Radians: a cap direction less certain than this is not published."""
+"""Choice: largest standard deviation [rad] of a published cap direction."""
 
 
 @dataclass(frozen=True)
 class Detections:
     """Particles of one picture, arrays of equal length N.
 
-    `xy` (N, 2) [px]; `sigma` its standard deviation per coordinate [px]; `theta` cap direction
-    [rad, image sense], NaN where it does not show; `contrast` [grey]; `radius` [px] at half
-    contrast; `quality` share of the particle's picture that the fit explains, noise allowed for;
-    `kind` number of its kind, 0 where there is only one.
+    Attributes
+    ----------
+    xy : (N, 2) array [px]
+    sigma : (N,) array [px]
+        Standard deviation per coordinate.
+    theta : (N,) array [rad]
+        Direction of the cap, image sense; NaN if it does not show.
+    contrast, radius : (N,) array [grey], [px]
+        The radius is that at half contrast.
+    quality : (N,) array
+        Share of the particle's picture that the fit explains, noise taken into account.
+    kind : (N,) int array
+        Number of its kind, 0 if there is only one.
     """
 
     xy: np.ndarray
@@ -76,7 +86,11 @@ class Detections:
 
 
 class RoundDetector:
-    """Particles that one learned picture fits; `remark` on the last picture, '' if all is well."""
+    """Detector of particles that match one learned picture.
+
+    `appearance` is that picture; `settings` hold the thresholds. `remark` describes problems of
+    the last picture, '' if there are none.
+    """
 
     def __init__(self, appearance: Appearance, settings: TrackerSettings) -> None:
         self.appearance = appearance
@@ -92,11 +106,11 @@ class RoundDetector:
             settings.size_tolerance, settings.min_quality, _CLOSEST * appearance.diameter_px)
 
     def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
-        """All particles of `image` (H, W).
+        """Return all particles of `image` (H, W).
 
-        `expected` (M, 2) [px] is where known particles should be. Where fewer peaks are found
-        than particles are expected, the fit starts from the expectations as well, so that
-        touching particles are told apart.
+        `expected` (M, 2) [px] are predicted positions. If there are fewer peaks than expected
+        particles, the fit also starts from the expectations, so that touching particles are
+        separated.
         """
         peaks = self._filter.candidates(
             image, self._settings.min_detection_sigma, 0.7 * self.appearance.min_contrast_grey)
@@ -116,9 +130,9 @@ class RoundDetector:
         return self._detections(rows[good], errors[good], quality[good])
 
     def _assign(self, peaks: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where to start: the peaks, and expected particles hidden in the peak of another.
+        """Return the starts of the fit: peaks, and expected particles hidden in another's peak.
 
-        A peak that two particles share lies between them, so it starts from the expectation.
+        A peak that two particles share lies between them, so the fit starts from the expectation.
         """
         found, hidden = peaks.copy(), _NONE
         if len(peaks) == 0 or len(expected) == 0:
@@ -137,7 +151,7 @@ class RoundDetector:
     def _fit(
         self, image: np.ndarray, grid: np.ndarray, rows: np.ndarray, active: np.ndarray
     ) -> np.ndarray:
-        """Fit the active rows in place; a cap's direction needs the fit pixel by pixel."""
+        """Fit the active rows in place; the direction of a cap needs the fit pixel by pixel."""
         if self._lookup_fit is not None:
             return self._lookup_fit.fit(image, grid, self._spacing, rows, active)
         return fit(
@@ -148,7 +162,7 @@ class RoundDetector:
         self, wrong: np.ndarray, peaks: np.ndarray, image: np.ndarray, grid: np.ndarray,
         rows: np.ndarray, errors: np.ndarray,
     ) -> None:
-        """Take hidden particles that are not there out again, and refit what they disturbed."""
+        """Remove hidden particles that do not exist, and refit those they disturbed."""
         reach = 2 * self.appearance.reach_px
         offset = np.abs(rows[None, :len(peaks), :2] - rows[wrong, None, :2])
         disturbed = np.zeros(len(rows), bool)
@@ -160,7 +174,7 @@ class RoundDetector:
         errors[disturbed] = again[disturbed]
 
     def _judge(self, rows: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Quality of each fit (N,), and whether it is a particle and no other is on top of it."""
+        """Return the quality (N,) of each fit, and whether it is a particle, none twice."""
         quality, good = _judge(rows, errors, self._filter.noise, *self._limits)
         return quality, good
 
@@ -176,7 +190,7 @@ class RoundDetector:
 
 @numba.njit(cache=True, error_model='numpy')
 def _described(rows, errors, quality, noise, capped, radius):  # type: ignore[no-untyped-def]
-    """The fields of `Detections` but the kind."""
+    """Return the fields of `Detections` except the kind."""
     theta = np.full(len(rows), np.nan)
     for n in range(len(rows)):
         if capped and errors[n, THETA] < _THETA_KNOWN:
@@ -187,11 +201,11 @@ def _described(rows, errors, quality, noise, capped, radius):  # type: ignore[no
 
 @numba.njit(cache=True, error_model='numpy')
 def _sigma(errors, noise):  # type: ignore[no-untyped-def]
-    """Standard deviation (N,) [px] per coordinate of the position.
+    """Return the standard deviation (N,) [px] per coordinate of the position.
 
-    The noise of each pixel is its own; what a particle differs from the learned picture by is
-    smooth, so that several pixels say the same. So much of the residual as is more than noise,
-    by two of its standard deviations, counts for difference.
+    Pixel noise is independent, but the deviation of a particle from the learned picture is smooth,
+    so that several pixels carry the same error. The part of the residual above the noise, by two
+    of its standard deviations, counts as deviation.
     """
     sigma = np.empty(len(errors))
     for n in range(len(errors)):
@@ -204,7 +218,7 @@ def _sigma(errors, noise):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _starts(found, hidden):  # type: ignore[no-untyped-def]
-    """Parameters to start a fit from rows x, y, contrast, of one after those of the other."""
+    """Return start parameters of a fit from rows x, y, contrast of both inputs."""
     rows = np.empty((len(found) + len(hidden), PARAMETERS))
     rows[:len(found), :OFFSET] = found
     rows[len(found):, :OFFSET] = hidden
@@ -214,9 +228,9 @@ def _starts(found, hidden):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model='numpy')
 def _judge(rows, errors, noise, energy, contrast, sigma, tolerance, least, closest):  # type: ignore[no-untyped-def]
-    """Quality (N,) of each fit; whether contrast, its σ, size and quality are a particle's.
+    """Return the quality (N,) of each fit, and whether contrast, σ, size and quality are good.
 
-    Of two nearer than `closest`, both good, only that of higher contrast is.
+    Of two good ones nearer than `closest`, only that of higher contrast is.
     """
     quality, good = np.empty(len(rows)), np.empty(len(rows), np.bool_)
     for n in range(len(rows)):
@@ -230,7 +244,7 @@ def _judge(rows, errors, noise, energy, contrast, sigma, tolerance, least, close
 
 @numba.njit(cache=True)
 def _nearest(peaks, expected, reach):  # type: ignore[no-untyped-def]
-    """Distance (M, 4), infinite beyond the reach [px], and number of the nearest peaks."""
+    """Return distances (M, 4), infinite beyond `reach` [px], and numbers of the nearest peaks."""
     order = np.argsort(peaks[:, 1])
     heights = peaks[order, 1]
     distance = np.full((len(expected), 4), np.inf)
@@ -254,7 +268,7 @@ def _nearest(peaks, expected, reach):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _claim(distance, nearest, farthest, peaks):  # type: ignore[no-untyped-def]
-    """Who has each peak, −1 nobody, and who has none: in turn, the nearest that is free.
+    """Return the owner of each peak, −1 if none, and particles without: nearest free peak first.
 
     `nearest` (M, K) are the peaks nearest to each expected particle, at `distance` (M, K).
     """

@@ -1,8 +1,8 @@
-"""Kinds of bodies that somebody pointed at: what is like the examples, and what is not.
+"""Kinds of bodies taught by examples and counter-examples.
 
-A kind is a range for each of six traits, so that it can be read, kept, shared and edited. A range
-holds the examples and, beyond them, what one example leaves open; each further one narrows that. A
-counter-example cuts the one range that it lies in least deeply.
+A kind is a range for each of six traits, so that it can be read, stored, shared and edited. A
+range contains the examples and a margin; each further example narrows the margin. A
+counter-example cuts the range in which it is farthest from the examples.
 """
 
 from __future__ import annotations
@@ -21,27 +21,28 @@ from microbot_ros.tracking.locate.bodies import Bodies
 TRAITS = ('height_grey', 'width_px', 'edge_px', 'elongation', 'fill', 'halo')
 """Names of the traits, in order; see `Bodies`."""
 
+# Choices, per trait: where ratios count, and how far a range extends beyond one example.
 _LOGARITHMIC = np.array([True, True, True, True, False, False])
 
 _BELOW = np.array([math.log(1 / 0.45), math.log(2.6), math.log(3.0), math.inf, 0.25, math.inf])
 _ABOVE = np.array([math.log(2.2), math.log(3.0), math.log(1.65), math.log(2.2), math.inf, 0.09])
-"""How far beyond one example a range goes: in logarithms where these are taken."""
+"""In logarithms where `_LOGARITHMIC`."""
 
 _LENIENT = np.array([math.log(1.7), math.log(1.3), math.log(1.5), math.log(1.5), 0.15, math.inf])
-"""How far beyond its range a body may be that is where one of its kind is expected."""
+"""Choice: extra margin for a body where one of its kind is expected."""
 
 _ODDEST = 1.15
-"""The most that a body may be odd in all traits together."""
+"""Choice: largest oddity of a body in all traits together."""
 
 _APART = np.array([0.05, 0.08, 0.05, 0.08, 0.03, 0.02])
-"""How much two bodies must differ in a trait to be told apart by it."""
+"""Choice: least difference by which a trait separates two bodies."""
 
 Traits = tuple[float, float, float, float, float, float]
 Range = tuple[float, float]
 
 
 class Kind(Settings):
-    """One kind of body, by name: ranges of its traits, and the examples that they come from."""
+    """One kind of body: ranges of its traits, and the examples they come from."""
 
     name: str = Field('robot', pattern=r'^[A-Za-z][\w-]{0,31}$',
                       description='what stands in the column `kind`')
@@ -62,7 +63,7 @@ class Kind(Settings):
 
     @property
     def dark(self) -> bool:
-        """Whether it is darker than the light."""
+        """Whether it is darker than the illumination."""
         return self.contrast == 'dark'
 
     @property
@@ -73,7 +74,7 @@ class Kind(Settings):
 
     @property
     def typical(self) -> np.ndarray:
-        """What it is most like (6,), as `scaled`: the middle of its examples, or of its ranges."""
+        """Typical traits (6,), as `scaled`: the middle of the examples, or of the ranges."""
         if self.like:
             return np.asarray(np.median(scaled(np.array(self.like)), axis=0))
         ends = self.ranges
@@ -81,13 +82,14 @@ class Kind(Settings):
 
     @property
     def typical_width_px(self) -> float:
-        """Its usual width [px]."""
+        """Usual width [px]."""
         return float(np.exp(self.typical[1]))
 
     def members(self, bodies: Bodies, lenient: np.ndarray) -> np.ndarray:
-        """Which (N,) of some bodies are of this kind; `lenient` (N,) where one is expected.
+        """Return which `bodies` (N,) are of this kind; `lenient` (N,) where one is expected.
 
-        What the edge of the picture cuts doesn't show its shape: of a kind only where expected.
+        A body cut by the edge of the picture does not show its shape: it counts only where
+        expected.
         """
         values, ends = scaled(traits(bodies)), self.ranges
         slack = np.where(lenient[:, None], _LENIENT, 0.0)
@@ -96,11 +98,11 @@ class Kind(Settings):
         return np.asarray(inside.all(axis=1) & (lenient | alike))
 
     def _oddity(self, values: np.ndarray) -> np.ndarray:
-        """How odd (N,) bodies of `values` (N, 6), as `scaled`, are in all traits together.
+        """Return how odd bodies with `values` (N, 6), as `scaled`, are in all traits together.
 
-        The root of the sum of squares of how far each is beyond the examples, 1 at the end of a
-        range: what is both smaller and paler by all that is left open is another thing. No body is
-        odd where a range is open: rounder than the example is not strange.
+        The root of the sum of squared distances beyond the examples, each 1 at the end of its
+        range: a body both smaller and paler by the whole margin is something else. Open ranges do
+        not count.
         """
         if not self.like:
             return np.zeros(len(values))
@@ -112,20 +114,20 @@ class Kind(Settings):
         return np.asarray(np.sqrt(np.sum(beyond**2, axis=1)))
 
     def strangeness(self, bodies: Bodies) -> np.ndarray:
-        """How far (N,) bodies are from what is typical, in the ranges that one example leaves."""
+        """Return the distance (N,) of `bodies` from typical, in units of one example's margins."""
         reach = np.where(np.isfinite(_ABOVE), _ABOVE, _BELOW)
         off = (scaled(traits(bodies)) - self.typical) / reach
         return np.asarray(np.sqrt(np.mean(off**2, axis=1)))
 
 
 def traits(bodies: Bodies) -> np.ndarray:
-    """The traits (N, 6) of some bodies, in order of `TRAITS`."""
+    """Return the traits (N, 6) of `bodies`, in order of `TRAITS`."""
     return np.column_stack([
         bodies.height, bodies.width, bodies.edge, bodies.length, bodies.fill, bodies.halo])
 
 
 def scaled(values: np.ndarray) -> np.ndarray:
-    """The `values` (N, 6) of traits with the logarithm taken where ratios count."""
+    """Return `values` (N, 6) of traits with the logarithm where ratios count."""
     with np.errstate(divide='ignore', invalid='ignore'):
         return np.where(_LOGARITHMIC, np.log(np.maximum(values, 1e-9)), values)
 
@@ -133,11 +135,10 @@ def scaled(values: np.ndarray) -> np.ndarray:
 def with_examples(
     kind: Kind, like: Sequence[Traits], unlike: Sequence[Traits], clutter: float
 ) -> Kind:
-    """The `kind` with its ranges learned from examples `like` it and counter-examples `unlike` it.
+    """Return the `kind` with ranges learned from examples `like` and counter-examples `unlike` it.
 
-    `clutter` is how far the picture goes to the other side of the light by itself [grey]: so much
-    may lie beside any body. Raises InputError, and says why, where a counter-example can't be told
-    from the examples.
+    `clutter` [grey] is the usual contrast of opposite sign in the picture, which may lie beside
+    any body. Raises InputError if a counter-example cannot be told from the examples.
     """
     examples = scaled(np.array(like, float))
     open_still = 0.5 + 0.5 / len(like)
@@ -147,7 +148,7 @@ def with_examples(
         examples.min(axis=0) - open_still * _BELOW, examples.max(axis=0) + open_still * above])
     for other in scaled(np.array(unlike, float).reshape(-1, len(TRAITS))):
         _cut(ends, examples, other, kind.name)
-    # Written with few figures: for people.
+    # Rounded to few digits, since people read and edit them.
     natural = np.where(_LOGARITHMIC[:, None], np.exp(np.minimum(ends, 13.8)), np.clip(ends, -1, 9))
     natural[:, 0] = np.where(np.isfinite(ends[:, 0]), natural[:, 0], [0, 0, 0, 1, 0, -1])
     fields = {name: tuple(float(f'{end:.4g}') for end in natural[k])

@@ -1,4 +1,4 @@
-"""All bodies of the kinds that were pointed at, in one picture."""
+"""Detector of all bodies of the taught kinds in one picture."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from microbot_ros.tracking.refine.disc_fit import refine
 from microbot_ros.tracking.refine.fit import TABLE_STEP
 
 _KNOWN = 0.7
-"""Widths: how near to its expectation a known body is recognised with lenience."""
+"""Choice: widths from its expectation within which a known body is recognised leniently."""
 
 _SAME = 0.5
-"""Widths: two bodies nearer than this are one, found twice."""
+"""Choice: widths below which two bodies are the same."""
 
 _LEAST_SIGMA = 0.02
-"""Pixels: of a shape that changes, no centroid is more exact."""
+"""Choice: least error [px] of the centroid of a changing shape."""
 
 _CUT = 0.2
-"""Widths: how uncertain is the place of what the edge of the picture cuts anywhere."""
+"""Choice: error, in widths, of a body cut by the edge of the picture."""
 
 _HEADED = 1.6
-"""Length over width from which a body has a direction."""
+"""Choice: length over width from which a body has a direction."""
 
 
 class KindsDetector:
-    """Finds bodies, and says of which of the `kinds` each is.
+    """Finds bodies and assigns each to one of the `kinds`.
 
-    Nothing is found at the `standing` places. `remark` on the last picture, '' if all is well.
+    Nothing is found at the `standing` places. `remark` describes problems of the last picture, ''
+    if there are none.
     """
 
     def __init__(self, kinds: Sequence[Kind], standing: Sequence[Place] = ()) -> None:
@@ -48,9 +49,9 @@ class KindsDetector:
             self._looks.setdefault((kind.dark, kind.shrink, kind.parts_px), []).append(k)
 
     def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
-        """All bodies of these kinds in `image` (H, W).
+        """Return all bodies of these kinds in `image` (H, W).
 
-        A body near where one is `expected` (M, 2) [px] may look less like its kind.
+        A body near an `expected` position (M, 2) [px] may look less like its kind.
         """
         noise = pixel_noise(image)
         found = [self._look(image, expected, noise, *look) for look in self._looks]
@@ -62,7 +63,7 @@ class KindsDetector:
         self, image: np.ndarray, expected: np.ndarray, noise: float, dark: bool, shrink: int,
         parts_px: float,
     ) -> tuple[Detections, np.ndarray]:
-        """The bodies of all kinds that are seen in the same way, and how strange each is."""
+        """Return bodies of all kinds with one sign and resolution, and their strangeness."""
         chosen = self._looks[dark, shrink, parts_px]
         kinds = [self.kinds[k] for k in chosen]
         least = min(kind.height_grey[0] for kind in kinds)
@@ -80,14 +81,14 @@ class KindsDetector:
         return _refined(found, image, bodies[good], dark, noise), least_strange[good]
 
     def _stands(self, bodies: Bodies) -> np.ndarray:
-        """Whether each (N,) is at one of the places that are no particles."""
+        """Return whether each body (N,) is at one of the excluded places."""
         away = np.hypot(bodies.xy[:, None, 0] - self._standing[:, 0],
                         bodies.xy[:, None, 1] - self._standing[:, 1])
         return np.asarray(np.any(away < self._standing[:, 2], axis=1))
 
 
 def _near(bodies: Bodies, expected: np.ndarray) -> np.ndarray:
-    """Which bodies (N,) are where one is `expected` (M, 2)."""
+    """Return which bodies (N,) are near `expected` positions (M, 2)."""
     if len(expected) == 0 or len(bodies) == 0:
         return np.zeros(len(bodies), bool)
     away = np.linalg.norm(bodies.xy[:, None] - expected, axis=2)
@@ -106,7 +107,7 @@ def _detections(bodies: Bodies, kind: np.ndarray, noise: float, shrink: int) -> 
 def _refined(
     found: Detections, image: np.ndarray, bodies: Bodies, dark: bool, noise: float
 ) -> Detections:
-    """What was `found`, with the precise place of what is round."""
+    """Return the detections with precise positions of round bodies."""
     places, sigma, fitted = refine(
         image, bodies.xy, bodies.width / 2, bodies.edge, (-1.0 if dark else 1.0) * bodies.height,
         bodies.length, bodies.cut, noise)
@@ -119,7 +120,7 @@ def _joined(parts: list[Detections]) -> Detections:
 
 
 def _apart(found: Detections, strange: np.ndarray) -> np.ndarray:
-    """Rows of those left when, of any two that are one, the less strange stays."""
+    """Return the rows that remain if the stranger of any two identical ones is removed."""
     left: list[int] = []
     for k in np.argsort(strange, kind='stable'):
         away = np.linalg.norm(found.xy[left] - found.xy[k], axis=1)
@@ -129,7 +130,7 @@ def _apart(found: Detections, strange: np.ndarray) -> np.ndarray:
 
 
 def stand_in(kinds: Sequence[Kind]) -> Appearance:
-    """What linking and drawing need to know of some `kinds`: the usual size and contrast."""
+    """Return usual size and contrast of `kinds` as an appearance, for linking and drawing."""
     width = float(np.median([kind.typical_width_px for kind in kinds]))
     height = float(np.median([np.exp(kind.typical[0]) for kind in kinds]))
     radii = np.arange(0, width, TABLE_STEP)

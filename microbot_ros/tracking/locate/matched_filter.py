@@ -1,4 +1,4 @@
-"""Search with the learned picture itself, the optimal linear filter for white noise."""
+"""Search with the learned picture, the optimal linear filter for white noise."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from microbot_ros.tracking.refine.appearance import Appearance
 from microbot_ros.tracking.refine.fit import FAST
 
 _AT_ONCE = 4
-"""Weights of a folded kernel that are applied in one pass."""
+"""Choice: weights of a folded kernel applied in one pass, four for the vector unit."""
 
 _ENOUGH = 0.97
-"""Share of the filter's energy that the separable parts must have."""
+"""Choice: share of the filter's energy in the separable parts."""
 
 _STILL_SHOWN = 0.6
-"""Share of a particle's energy that a shrunk picture must keep."""
+"""Choice: share of a particle's energy that a shrunk picture must keep."""
 
 _LEAST_WIDTH = 2.4
-"""Coarse pixels that a particle must be wide, or two side by side look like one."""
+"""Choice: coarse pixels across a particle, so that two side by side stay separate."""
 
 
 def _shrunk(appearance: Appearance, shrink: int, off: float = 0.0) -> np.ndarray:
-    """The round picture less its mean, (K, K), in blocks of `shrink` px, the centre `off` px."""
+    """Return the round picture minus its mean (K, K) in blocks of `shrink` px, off centre."""
     blocks = 2 * int(np.ceil((appearance.reach_px + off) / shrink - 0.5)) + 1
     fine = np.arange(0.5, blocks * shrink) - blocks * shrink / 2 - off
     u, v = fine[None, :], fine[:, None]
@@ -34,7 +34,7 @@ def _shrunk(appearance: Appearance, shrink: int, off: float = 0.0) -> np.ndarray
 
 
 def _farthest_shrink(appearance: Appearance) -> int:
-    """The factor at which a particle keeps enough of its energy in the worst position."""
+    """Return the factor at which a particle keeps enough energy in the worst position."""
     energy = np.sum(_shrunk(appearance, 1) ** 2)
     shrink = 1
     while shrink + 1 <= appearance.diameter_px / _LEAST_WIDTH:
@@ -50,9 +50,10 @@ def _farthest_shrink(appearance: Appearance) -> int:
 class MatchedFilter:
     """The learned picture as a filter.
 
-    It sums to zero and is symmetric, so uniform light and slopes leave no response. It is applied
-    as a few separable ones (its singular vectors), on a picture shrunk as far as that still shows
-    the particle, wherever it lies between the coarse pixels.
+    It sums to zero and is symmetric, so that uniform light and slopes give no response. It is
+    applied as a few separable filters (its singular vectors) to a picture shrunk as far as that
+    still shows the particle, wherever it lies between the coarse pixels. `appearance` is the
+    learned picture.
     """
 
     def __init__(self, appearance: Appearance) -> None:
@@ -61,7 +62,7 @@ class MatchedFilter:
         left, weight, right = np.linalg.svd(template)
         rank = int(np.searchsorted(np.cumsum(weight**2) / np.sum(weight**2), _ENOUGH)) + 1
         sums = weight[:rank] * right[:rank].sum(axis=1)
-        # What is left out must not make the filter see the light itself.
+        # Truncation must not make the filter respond to the light itself.
         most = np.argmax(np.abs(sums))
         left[:, most] -= sums @ left[:, :rank].sum(axis=0) / (sums[most] * len(left))
         kernel = (left[:, :rank] * weight[:rank]) @ right[:rank]
@@ -75,18 +76,18 @@ class MatchedFilter:
         self.noise = 0.0
         """Standard deviation of the pixel noise [grey]."""
         self.texture = 0.0
-        """Area [px²] where the response, high or low, is more than noise."""
+        """Area [px²] in which the response, of either sign, exceeds noise."""
 
     def candidates(
         self, image: np.ndarray, least_sigma: float, least_contrast: float,
     ) -> np.ndarray:
-        """Rows (N, 3), x, y [px] and contrast [grey] of maxima of an `image`.
+        """Return maxima of the response to an `image` (N, 3): x, y [px], contrast [grey].
 
-        Maxima count from `least_sigma` standard deviations of the response and from
-        `least_contrast` [grey].
+        Maxima count from `least_sigma` standard deviations of the response and `least_contrast`
+        [grey].
         """
         shape = (image.shape[0] // self.shrink, image.shape[1] // self.shrink)
-        # Fresh memory for each frame would cost as much as the filters.
+        # Buffers are reused: fresh memory for each frame costs as much as the filters.
         if self._response.shape != shape:
             margin = 2 * (self._rows.shape[1] - 1)
             self._response = np.zeros(shape, np.float32)
@@ -101,9 +102,9 @@ class MatchedFilter:
 
 
 def _folded(kernels: np.ndarray) -> np.ndarray:
-    """Symmetric kernels (n, 2K + 1) by the distance from their middle, whose weight is halved.
+    """Return symmetric kernels (n, 2K + 1) by distance from their middle, whose weight is halved.
 
-    (n, a multiple of `_AT_ONCE`) float32: each weight is for the two cells at that distance.
+    (n, a multiple of `_AT_ONCE`) float32: each weight applies to the two cells at that distance.
     """
     half = kernels[:, kernels.shape[1] // 2:].copy()
     half[:, 0] /= 2
@@ -112,9 +113,9 @@ def _folded(kernels: np.ndarray) -> np.ndarray:
 
 @numba.njit(cache=True)
 def _respond(image, shrink, small, columns, rows, response):  # type: ignore[no-untyped-def]
-    """Fill the response, and the shrunk picture that it needs.
+    """Fill the response and the shrunk picture.
 
-    It is the contrast [grey] that a particle centred in each cell would have.
+    The response is the contrast [grey] of a particle centred in each cell.
     """
     margin = columns.shape[1] - 1
     block_mean_into(small, image, shrink, margin)
@@ -124,7 +125,7 @@ def _respond(image, shrink, small, columns, rows, response):  # type: ignore[no-
 
 @numba.njit(cache=True)
 def _share_beyond(response, limit):  # type: ignore[no-untyped-def]
-    """Share of the response, of either sign, beyond a limit; from one in sixteen."""
+    """Return the share of the response beyond ±`limit`, from one cell in sixteen."""
     beyond = count = 0
     for y in range(1, response.shape[0], 4):
         for x in range(1, response.shape[1], 4):
@@ -135,7 +136,7 @@ def _share_beyond(response, limit):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _mirror_edges(picture, margin):  # type: ignore[no-untyped-def]
-    """Fill the margin with the mirror image of what lies inside, about the outermost cells."""
+    """Fill the margin with the mirror image of the inside, about the outermost cells."""
     height, width = picture.shape
     for k in range(1, margin + 1):
         top, bottom = margin, height - 1 - margin
@@ -150,9 +151,9 @@ def _mirror_edges(picture, margin):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _convolve(response, padded, columns, rows):  # type: ignore[no-untyped-def]
-    """The sum of separable filters, `columns` and `rows` folded (n, K), into `response`.
+    """Write the sum of separable filters, `columns` and `rows` folded (n, K), into `response`.
 
-    `padded` has a margin of K − 1 cells more than the response all around.
+    `padded` has a margin of K − 1 cells around the response.
     """
     margin = columns.shape[1] - 1
     line = np.empty(padded.shape[1], np.float32)
@@ -181,7 +182,7 @@ def _add_rows(line, picture, up, down, a, b, c, d):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, fastmath=FAST)
 def _add_shifted(out, line, left, right, a, b, c, d):  # type: ignore[no-untyped-def]
-    """Add the line from `left`, `left` − 1 … and `right`, `right` + 1 … on, by their weights."""
+    """Add the line from `left`, `left` − 1 … and `right`, `right` + 1 … by their weights."""
     one, two, three = numba.uintp(1), numba.uintp(2), numba.uintp(3)
     for i in range(numba.uintp(out.size)):
         out[i] += (a * (line[left + i] + line[right + i])

@@ -1,4 +1,4 @@
-"""Opaque particles of any shape, clumps included: found and measured by their outline."""
+"""Opaque particles of any shape, clumps included, measured by their outline."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from microbot_ros.tracking.refine.appearance import Appearance
 from microbot_ros.tracking.settings import TrackerSettings
 
 _LOW, _HIGH = 0.35, 0.7
-"""Shares of the typical contrast: the outline, and what counts as fully dark (or bright)."""
+"""Choices: shares of the typical contrast for the outline, and for fully dark (or bright)."""
 
 _SHARP = 0.85
-"""Least sharpness of a new particle, in terms of the least quality."""
+"""Choice: least sharpness of a new particle, in terms of the least quality."""
 
 _LARGEST_CLUMP = 5.0
-"""Typical diameters."""
+"""Choice: largest clump, in typical diameters."""
 
 _LONGEST = 4.0
-"""Length over width beyond which an object is a hair."""
+"""Choice: length over width beyond which an object is a hair."""
 
 _LENIENCE = 0.75
-"""Share of each requirement that a known particle must still meet."""
+"""Choice: share of each requirement that a known particle must still meet."""
 
 _KNOWN = 0.5
-"""Diameters: how near to its expectation a known particle is recognised with lenience."""
+"""Choice: diameters from its expectation within which a particle counts as known."""
 
 _LEAST_SIGMA = 1e-3
-"""Pixels: a noiseless picture does not make a centroid exact."""
+"""Choice: least error [px] of a centroid, even in a noiseless picture."""
 
 _COUNT, _CORE, _WEIGHT, _WX, _WY, _WXX, _WYY, _WXY, _EDGE_X, _EDGE_Y, _PEAK = range(11)
 
 
 class OutlineDetector:
-    """Connected regions that are dark (or bright) enough, sharp enough and big enough.
+    """Detector of connected regions that are dark (or bright), sharp and large enough.
 
-    The position is the centroid of the contrast, capped at the typical: what is fully dark counts
-    fully, edges by their share, so the position is sub-pixel. Debris out of focus has no core,
-    specks are too small, hairs too long.
+    The position is the centroid of the contrast, capped at the typical one: fully dark pixels
+    count fully, edge pixels in part, so that the position is sub-pixel. Defocused debris has no
+    core, specks are too small, hairs too long. `appearance` and `settings` as in `RoundDetector`.
     """
 
     def __init__(self, appearance: Appearance, settings: TrackerSettings) -> None:
@@ -54,10 +54,10 @@ class OutlineDetector:
         self._least_peak = max(0.75 * appearance.contrast_grey, appearance.min_contrast_grey)
 
     def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
-        """All particles of `image` (H, W).
+        """Return all particles of `image` (H, W).
 
-        `expected` (M, 2) [px] is where known particles should be: they need not be as sharp and
-        as large as one that is new, so that a particle at the limit doesn't come and go.
+        Particles near `expected` positions (M, 2) [px] need not be as sharp and as large as new
+        ones, so that a particle at the limit does not come and go.
         """
         sums = self._regions(image)
         good = self._good(sums, 1.0)
@@ -69,7 +69,7 @@ class OutlineDetector:
         return self._detections(sums[good], pixel_noise(image) / self._shrink)
 
     def _regions(self, image: np.ndarray) -> np.ndarray:
-        """Sums of the regions of an `image`."""
+        """Return the sums of the regions of an `image`."""
         import cv2
 
         contrast = self._contrast(image)
@@ -80,7 +80,7 @@ class OutlineDetector:
         return sums
 
     def _contrast(self, image: np.ndarray) -> np.ndarray:
-        """Contrast of the typical sign against the light (h, w), shrunk."""
+        """Return the contrast of the typical sign (h, w), shrunk."""
         import cv2
 
         small = block_mean(image, self._shrink)
@@ -94,7 +94,7 @@ class OutlineDetector:
         return contrast
 
     def _good(self, sums: np.ndarray, share: float) -> np.ndarray:
-        """Whether each region has a `share` of what makes a particle."""
+        """Return whether each region meets a `share` of the requirements."""
         diameter = _diameter(sums) * self._shrink
         good = (diameter >= share * self._least_diameter) & (_elongation(sums) <= _LONGEST)
         good &= diameter <= _LARGEST_CLUMP * self.appearance.diameter_px
@@ -117,7 +117,7 @@ class OutlineDetector:
         )
 
     def irregularity(self, image: np.ndarray) -> float:
-        """How far the particles of an `image` are from equal discs; 0 where there is none.
+        """Return how far the particles of an `image` are from equal discs; 0 if there are none.
 
         The spread of ln(diameter) or the typical ln(length/width), whichever is larger.
         """
@@ -131,17 +131,17 @@ class OutlineDetector:
 
 
 def _diameter(sums: np.ndarray) -> np.ndarray:
-    """Diameter of the disc of equal area, in shrunk pixels."""
+    """Return the diameter of the disc of equal area, in shrunk pixels."""
     return np.sqrt(4 * sums[:, _WEIGHT] / np.pi)
 
 
 def _sharpness(sums: np.ndarray) -> np.ndarray:
-    """Share of a region that has the full contrast: near 1 in focus, 0 for a blur."""
+    """Return the share of a region with full contrast: near 1 in focus, 0 for a blur."""
     return sums[:, _CORE] / sums[:, _COUNT]
 
 
 def _elongation(sums: np.ndarray) -> np.ndarray:
-    """Length over width, of the ellipse with the same second moments."""
+    """Return length over width of the ellipse with equal second moments."""
     weight = sums[:, _WEIGHT]
     x, y = sums[:, _WX] / weight, sums[:, _WY] / weight
     xx = sums[:, _WXX] / weight - x**2 + 1 / 12
@@ -155,7 +155,7 @@ def _elongation(sums: np.ndarray) -> np.ndarray:
 
 @numba.njit(cache=True)
 def _sums(contrast, labels, count, typical):  # type: ignore[no-untyped-def]
-    """Moments (count, 11) of every labelled region, in order of the names above."""
+    """Return moments (count, 11) of every labelled region, in order of the names above."""
     sums = np.zeros((count, 11))
     for j in range(labels.shape[0]):
         for i in range(labels.shape[1]):

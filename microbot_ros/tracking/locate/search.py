@@ -1,4 +1,4 @@
-"""Block means of a picture, its light, its peaks, the noise of its pixels."""
+"""Block means of a picture, its illumination, peaks, and pixel noise."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ _LEAST_NOISE = 0.3
 """Grey levels: rounding to whole levels has a standard deviation of 1/√12."""
 
 _MEDIAN = 5
-"""Cells across the neighbourhood whose median is the light of a cell."""
+"""Choice: cells across the neighbourhood whose median is the illumination of a cell."""
 
 
 def block_mean(image: np.ndarray, size: int) -> np.ndarray:
-    """Means (H // size, W // size) float32 of an `image` over square blocks; a rest is left out.
+    """Return means (H // `size`, W // `size`) float32 of an `image` over square blocks.
+
+    Incomplete blocks are left out.
     """
     mean = np.empty((image.shape[0] // size, image.shape[1] // size), np.float32)
     block_mean_into(mean, image, size, 0)
@@ -24,11 +26,9 @@ def block_mean(image: np.ndarray, size: int) -> np.ndarray:
 
 @numba.njit(cache=True, fastmath=FAST)
 def block_mean_into(mean, image, size, pad):  # type: ignore[no-untyped-def]
-    """`block_mean` of an `image` over blocks of `size` px, into `mean`, which has a margin of
-    `pad` cells.
-    """
+    """Write `block_mean` of an `image`, blocks of `size` px, to `mean` with a margin `pad`."""
     scale = np.float32(1.0 / (size * size))
-    # Unsigned indices can't wrap around, which lets the compiler use vectors.
+    # Unsigned indices cannot wrap around, which lets the compiler vectorise.
     count, to = numba.uintp(mean.shape[1] - 2 * pad), numba.uintp(pad)
     line = np.empty(count * size, np.float32)
     for j in range(mean.shape[0] - 2 * pad):
@@ -42,7 +42,7 @@ def block_mean_into(mean, image, size, pad):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _narrow(line, size, scale, mean, start, count):  # type: ignore[no-untyped-def]
-    """Sums of so many neighbours, scaled; the usual ones with strides that the compiler knows."""
+    """Sum and scale neighbours; the usual sizes with strides known to the compiler."""
     if size == 1:
         for i in range(count):
             mean[start + i] = line[i]
@@ -61,11 +61,10 @@ def _narrow(line, size, scale, mean, start, count):  # type: ignore[no-untyped-d
 
 
 def background(image: np.ndarray, spacing: int) -> np.ndarray:
-    """The light (H // spacing, W // spacing) of an `image`, without particles, in cells of
-    `spacing` px: the median of 5×5 block means.
+    """Return the illumination (H // `spacing`, W // `spacing`) of an `image`, without particles.
 
-    A particle as wide as a cell covers at most a quarter of the cells of such a neighbourhood,
-    so the median doesn't see it.
+    It is the median of 5×5 block means in cells of `spacing` px. A particle as wide as a cell
+    covers at most a quarter of the cells of such a neighbourhood, so that the median ignores it.
     """
     import cv2
 
@@ -76,9 +75,9 @@ def background(image: np.ndarray, spacing: int) -> np.ndarray:
 
 @numba.njit(cache=True)
 def peaks(response, shrink, least, separation):  # type: ignore[no-untyped-def]
-    """Rows (N, 3) of x, y [px], value: maxima of a `response` above `least`.
+    """Return rows (N, 3) of x, y [px], value of the maxima of a `response` above `least`.
 
-    A maximum is the highest within ±`separation` cells of `shrink` px.
+    A maximum is the highest value within ±`separation` cells of `shrink` px.
     """
     found = []
     crest = np.empty(response.shape[1], np.uint8)
@@ -97,7 +96,7 @@ def peaks(response, shrink, least, separation):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _top(response, x, y):  # type: ignore[no-untyped-def]
-    """The place of a maximum between the cells, by a parabola, and its value."""
+    """Return position (by a parabola) and value of a maximum."""
     value = response[y, x]
     bend_x = response[y, x + 1] - 2 * value + response[y, x - 1]
     bend_y = response[y + 1, x] - 2 * value + response[y - 1, x]
@@ -108,7 +107,7 @@ def _top(response, x, y):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _crests(above, line, below, least, crest):  # type: ignore[no-untyped-def]
-    """Whether each cell of a line is above `least` and no lower than its four neighbours."""
+    """Mark cells of a line above `least` that are no lower than their four neighbours."""
     for x in range(numba.uintp(1), numba.uintp(line.size - 1)):
         value = line[x]
         crest[x] = ((value > least) & (value >= line[x - 1]) & (value >= line[x + 1])
@@ -117,7 +116,7 @@ def _crests(above, line, below, least, crest):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _highest(response, x, y, separation):  # type: ignore[no-untyped-def]
-    """Whether no cell within ±`separation` is higher; of equals, the first counts."""
+    """Return whether no cell within ±`separation` is higher; of equal ones, the first counts."""
     height, width = response.shape
     value = response[y, x]
     for dy in range(max(-separation, -y), min(separation, height - 1 - y) + 1):
@@ -129,7 +128,7 @@ def _highest(response, x, y, separation):  # type: ignore[no-untyped-def]
 
 
 def spread(response: np.ndarray) -> float:
-    """Standard deviation of a response's noise, from the median: particles don't count."""
+    """Return the standard deviation of the noise of a `response`, from the median."""
     sample = response[1::4, 1::4]
     middle = np.median(sample)
     return 1.4826 * float(np.median(np.abs(sample - middle)))
@@ -137,10 +136,10 @@ def spread(response: np.ndarray) -> float:
 
 @numba.njit(cache=True)
 def pixel_noise(image):  # type: ignore[no-untyped-def]
-    """Standard deviation of the pixel noise [grey], from a twofold second difference.
+    """Return the standard deviation of the pixel noise [grey] of an `image`.
 
-    What varies slower than from pixel to pixel drops out (J. Immerkær, Computer Vision and Image
-    Understanding 64, 300, 1996); the median makes edges of particles drop out too.
+    It uses second differences: variations slower than from pixel to pixel cancel (J. Immerkær,
+    Computer Vision and Image Understanding 64, 300, 1996); the median excludes edges of particles.
     """
     rows, columns = max(1, image.shape[0] // 40), max(1, image.shape[1] // 40)
     middle = np.median(_second_differences(image, rows, columns))
@@ -149,7 +148,7 @@ def pixel_noise(image):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _second_differences(image, rows, columns):  # type: ignore[no-untyped-def]
-    """Their magnitudes about every so many pixels, as a flat array."""
+    """Return their magnitudes at every so many pixels, as a flat array."""
     height, width = image.shape
     down, across = (height - 3) // rows + 1, (width - 3) // columns + 1
     difference = np.empty(down * across, np.float32)

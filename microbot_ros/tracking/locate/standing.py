@@ -1,4 +1,4 @@
-"""What stands still in the picture: text, bars, dirt on the optics."""
+"""Objects that stand still in the picture: text, bars, dirt on the optics."""
 
 from __future__ import annotations
 
@@ -11,25 +11,30 @@ from microbot_ros.common.files import Settings
 from microbot_ros.tracking.locate.bodies import Bodies
 
 _SAME = 3.0
-"""Pixels: how near to itself what stands still is found again."""
+"""Choice: pixels within which a still object is found again."""
 
 _STILL = 0.55
-"""Pixels: the most by which the place of what stands still is spread, per coordinate, whatever a
-few pictures show in which something passes it. On laboratory films dirt and text are at 0.05 to
-0.51, the slowest particles, which hardly diffuse, at 0.8 to 1.1."""
+"""Largest spread [px] per coordinate of the position of a still object, a few outliers aside.
+
+Measured on laboratory films: dirt and text 0.05 to 0.51, the slowest particles, which hardly
+diffuse, 0.8 to 1.1.
+"""
 
 _OF_NORMAL = 1.4826
-"""Standard deviation over the median absolute deviation, of normal errors."""
+"""Standard deviation over median absolute deviation of a normal distribution."""
 
 _WANDERS = 1.0
-"""Least mean square of the steps over the variance of the places (J. von Neumann, Annals of
-Mathematical Statistics 12, 367, 1941): 2 for errors about one place, 0.5 for a random walk."""
+"""Choice: least mean square step over the variance of the positions of a still object.
+
+J. von Neumann, Annals of Mathematical Statistics 12, 367 (1941): 2 for independent errors, 0.5 for
+a random walk.
+"""
 
 _STRAIGHT = 1.8
-"""The same about a line through the places: 2.4 for errors, 1.25 for a random walk of a dozen."""
+"""Choice: the same about a line: 2.4 for errors, 1.25 for a random walk of a dozen steps."""
 
 _MOSTLY = 0.75
-"""Share of the frames in which it is found."""
+"""Choice: share of the frames in which it is found."""
 
 
 class Place(Settings):
@@ -40,18 +45,18 @@ class Place(Settings):
     radius_px: float = Field(gt=0, le=10_000, description='its radius [px]')
 
     def holds(self, x: float, y: float) -> bool:
-        """Whether the point (`x`, `y`) [px] lies in it."""
+        """Return whether the point (`x`, `y`) [px] lies in it."""
         return math.hypot(self.x_px - x, self.y_px - y) < self.radius_px
 
 
 def standing(seen: list[Bodies], carried: bool = False) -> list[Place]:
-    """Where something stands still in pictures from all over a film, of which `seen` are bodies.
+    """Return places where bodies `seen` in pictures from all over a film stand still.
 
-    A thing that drifts with the sample doesn't: the spread of its places shows it. Where `carried`
-    is True it does, as long as it drifts in a straight line and by less than its own width.
+    The spread of positions excludes objects that drift with the sample. If `carried`, these are
+    included as long as they drift in a straight line and by less than their own width.
     """
     places: list[Place] = []
-    # What is hidden at the beginning may show in the middle.
+    # Objects hidden at the start may be visible in the middle.
     for first in (seen[0], seen[len(seen) // 2]):
         for xy, width in zip(first.xy, first.width, strict=True):
             known = any(np.hypot(place.x_px - xy[0], place.y_px - xy[1]) < _SAME
@@ -66,10 +71,11 @@ def standing(seen: list[Bodies], carried: bool = False) -> list[Place]:
 
 
 def creeping(seen: list[Bodies]) -> list[Place]:
-    """Return where something stays within its own width in pictures from all over a film.
+    """Return places where something stays within its own width in pictures from all over a film.
 
-    `seen` are the bodies of the pictures. Gaps between living cells stay so: they go with the
-    cells, at random and by little from picture to picture, while what moves by itself leaves.
+    `seen` are the bodies of the pictures. Gaps between living cells behave like this: they move
+    with the cells, randomly and little from picture to picture, while a body that moves by itself
+    leaves.
     """
     places: list[Place] = []
     for first in (seen[0], seen[len(seen) // 2]):
@@ -89,9 +95,10 @@ def creeping(seen: list[Bodies]) -> list[Place]:
 
 
 def _still(seen: list[Bodies], xy: np.ndarray, farthest: float) -> tuple[np.ndarray, float] | None:
-    """The middle (2,) of the places of what is near `xy` in most pictures, and how far it drifts.
+    """Return the middle (2,) of the positions of the object near `xy`, and its drift.
 
-    None if it moves: otherwise than in a line, or, where it drifts, by more than `farthest` [px].
+    None if it is not there in most pictures, moves otherwise than in a line, or drifts by more
+    than `farthest` [px].
     """
     frames, near = _found_again(seen, xy, farthest > 0)
     if len(near) < max(_MOSTLY * len(seen), 3):
@@ -112,8 +119,9 @@ def _still(seen: list[Bodies], xy: np.ndarray, farthest: float) -> tuple[np.ndar
 
 def _found_again(seen: list[Bodies], xy: np.ndarray, carried: bool
                  ) -> tuple[np.ndarray, np.ndarray]:
-    """The pictures (n,) in which something is near `xy`, and where (n, 2); or, where it is
-    `carried`, near where it was last.
+    """Return the pictures (n,) in which something is near `xy`, and its positions (n, 2).
+
+    If `carried`, it is searched near its last position.
     """
     frames, near = [], []
     for frame, bodies in enumerate(seen):
@@ -126,9 +134,9 @@ def _found_again(seen: list[Bodies], xy: np.ndarray, carried: bool
 
 
 def _scatters(off: np.ndarray, least: float) -> bool:
-    """Whether places that are `off` (n, 2) [px] their middle scatter, by little and at random.
+    """Return whether positions `off` (n, 2) [px] their middle scatter little and randomly.
 
-    `least` is that of the mean square of the steps over the variance.
+    `least` is the mean square step over the variance.
     """
     spread = _OF_NORMAL * np.median(np.abs(off), axis=0)
     if np.sqrt(np.mean(spread**2)) > _STILL:

@@ -1,4 +1,4 @@
-"""What a particle looks like: the learned picture that search and fit share."""
+"""Learned picture of a particle, shared by search and fit."""
 
 from __future__ import annotations
 
@@ -12,13 +12,20 @@ from microbot_ros.tracking.refine.fit import TABLE_STEP
 
 @dataclass(frozen=True)
 class Appearance:
-    """The typical particle, as radial profiles about its centre.
+    """Typical particle, as radial profiles about its centre.
 
-    `table` (1, K) or, where a cap shows, (3, K): f₀, f₁, f₂ in steps of `TABLE_STEP` px, scaled
-    so that f₀ has the largest magnitude 1; a particle adds a·[f₀ + f₁ cos(φ−θ) + f₂ cos 2(φ−θ)]
-    to the background. `reach_px` is the radius beyond which f₀ is nothing, `diameter_px` the
-    width at half contrast. `contrast_grey` is the typical a, `min_contrast_grey` the least that
-    counts. `round` is False where the particles are too irregular for one picture to fit.
+    Attributes
+    ----------
+    table : (1, K) or (3, K) array
+        f₀, or with a visible cap f₀, f₁, f₂, in steps of `TABLE_STEP` px, scaled such that the
+        largest magnitude of f₀ is 1; a particle adds a·[f₀ + f₁ cos(φ−θ) + f₂ cos 2(φ−θ)] to the
+        background.
+    reach_px, diameter_px : float
+        Radius beyond which f₀ vanishes, and width at half contrast.
+    contrast_grey, min_contrast_grey : float
+        Typical a, and the least that counts.
+    round : bool
+        False if the particles are too irregular for one picture.
     """
 
     table: np.ndarray
@@ -40,12 +47,12 @@ class Appearance:
         return bool(np.sum(self.table[0] * radius) < 0)
 
     def draw_round(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """f₀ at offsets (u, v) [px] from the centre."""
+        """Return f₀ at offsets (`u`, `v`) [px] from the centre."""
         radii = np.arange(self.table.shape[1]) * TABLE_STEP
         return np.interp(np.hypot(u, v), radii, self.table[0], right=0.0)
 
     def describe(self) -> list[str]:
-        """What was found, in words."""
+        """Return sentences that describe the appearance."""
         kind = 'round' if self.round else 'of any shape, followed by their outline'
         cap = 'the cap shows' if self.capped else 'no cap shows'
         return [

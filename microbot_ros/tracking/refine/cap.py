@@ -1,4 +1,4 @@
-"""The cap in the learned picture: first and second angular harmonics, and where the centre is."""
+"""The cap in the learned picture: first and second angular harmonics, and the true centre."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from microbot_ros.tracking.refine.profiles import Samples
 
 
 def first_harmonic(pixels: Samples, rest: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """The radial profile that the one-sided residuals of many particles share, up to sign.
+    """Return coefficients (K,) of the one-sided radial profile of many particles, up to sign.
 
-    `rest` (P,) is what the round picture leaves of the pixels; `basis` (P, K) holds the radial
-    functions. Returns the K coefficients: the leading direction of all particles' residuals,
-    whichever way each one points.
+    It is the leading direction of all particles' residuals, whichever way each one points.
+    `pixels` have P samples, `rest` (P,) is their residual from the round picture, `basis` (P, K)
+    the radial functions.
     """
     total = np.zeros((basis.shape[1],) * 2)
     for k in range(pixels.owner.max() + 1):
@@ -30,12 +30,12 @@ def first_harmonic(pixels: Samples, rest: np.ndarray, basis: np.ndarray) -> np.n
 
 
 def centre_shift(table: np.ndarray, reach_px: float) -> float:
-    """How far [px] along θ the particle's centre lies from the fitted one.
+    """Return how far [px] along θ the particle's centre lies from the fitted one.
 
-    Metal that covers one half of a sphere, seen from the side, and its mirror image add up to the
-    same all around: about the true centre the picture has no second harmonic. Seen from a point s
-    off the centre, f₂ is s/2·(f₁′ − f₁/r), so that part of f₂ tells s. `table` (3, K): the
-    profiles f₀, f₁ and f₂ in steps of `TABLE_STEP` px, judged up to `reach_px`.
+    Metal that covers one half of a sphere, seen from the side, and its mirror image add up to a
+    round picture: about the true centre there is no second harmonic. From a point s off the
+    centre, f₂ is s/2·(f₁′ − f₁/r), so that part of f₂ gives s. `table` (3, K) holds f₀, f₁ and f₂
+    in steps of `TABLE_STEP` px, used up to `reach_px`.
     """
     radii = np.arange(table.shape[1]) * TABLE_STEP
     near = (radii > 1) & (radii < reach_px)

@@ -1,8 +1,8 @@
-"""Precise places of round bodies of any size: a disc with a soft edge, fitted to each.
+"""Precise positions of round bodies of any size: a disc with a soft edge is fitted to each.
 
-Grey = b + h / (1 + exp((r − R)/s)), r the distance from (x, y): least squares in all six, by
-Gauss and Newton, which for Gaussian noise reaches the Cramér–Rao bound of the place. What the disc
-does not explain leaves the centroid as it was.
+Grey = b + h / (1 + exp((r − R)/s)), r the distance from (x, y): least squares in all six by
+Gauss–Newton, which for Gaussian noise reaches the Cramér–Rao bound of the position. If the disc
+does not explain the body, the centroid is kept.
 """
 
 from __future__ import annotations
@@ -14,35 +14,45 @@ import numpy as np
 from microbot_ros.common.compiled import numba
 
 _ROUND = 1.35
-"""Most length over width of what is fitted."""
+"""Choice: largest length over width that is fitted."""
 
 _EXPLAINED = 0.93
-"""Least share of the picture around a body that the disc must explain, noise allowed for."""
+"""Choice: least share of the picture that the disc must explain, noise taken into account."""
 
 _CLEAR = 5.0
-"""Least contrast of the disc over the noise, all its pixels together."""
+"""Choice: least contrast of the disc over the noise, all its pixels together."""
 
 _REACH = 3.0
-"""Edge parameters s beyond the radius that are looked at."""
+"""Choice: edge parameters s beyond the radius that are included."""
 
-_STEPS = 12
-_SETTLED = 2e-3
-"""Pixels: a smaller step is the last."""
+_STEPS, _SETTLED = 12, 2e-3  # choices: most steps, and the step [px] that ends the fit
 
 _ASTRAY, _ASTRAY_CUT = 0.3, 1.0
-"""Radii by which a fit may go from the centroid, and from that of the part in view."""
+"""Choices: radii by which a fit may leave the centroid, and that of a body cut by the edge."""
 
 
 def refine(
     image: np.ndarray, xy: np.ndarray, radius: np.ndarray, edge: np.ndarray, height: np.ndarray,
     length: np.ndarray, cut: np.ndarray, noise: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places (N, 2) [px] and σ (N,) of bodies in an `image` (H, W), and whether (N,) they are new.
+    """Fit discs to bodies and return positions (N, 2) [px], σ (N,) and whether each fits (N,).
 
-    They are about `xy` (N, 2), of `radius` and `edge` width [px], of signed `height` [grey] and
-    `length` over width; `cut` (N,) says of which the edge of the picture leaves a part only, so
-    that neither place nor length are the disc's; `noise` [grey] is that of a pixel. Where no disc
-    fits, `xy` comes back with σ NaN.
+    If no disc fits, the position is `xy` and σ NaN.
+
+    Parameters
+    ----------
+    image : (H, W) array
+    xy : (N, 2) array [px]
+    radius, edge : (N,) array [px]
+    height : (N,) array [grey]
+        Signed contrast.
+    length : (N,) array
+        Length over width.
+    cut : (N,) bool array
+        Whether the edge of the picture cuts the body, so that neither position nor length are the
+        disc's.
+    noise : float
+        Pixel noise [grey].
     """
     return _refine(image, xy, radius, edge, height, length, cut, noise)
 
@@ -66,7 +76,7 @@ def _refine(image, xy, radius, edge, height, length, cut, noise):  # type: ignor
 
 @numba.njit(cache=True, nogil=True)
 def _fit(image, row, noise):  # type: ignore[no-untyped-def]
-    """Fit `row` = x, y, h, b, R, s in place; σ of x and y [px], or −1 where it does not fit."""
+    """Fit `row` = x, y, h, b, R, s in place; return σ of x and y [px], or −1 without a fit."""
     normal, gradient, slopes = np.empty((6, 6)), np.empty(6), np.empty(6)
     reach = row[4] + _REACH * row[5] + 1.5
     box = _window(image.shape, row, reach)
@@ -99,14 +109,14 @@ def _fit(image, row, noise):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _window(shape, row, reach):  # type: ignore[no-untyped-def]
-    """Rows from, to and columns from, to within `reach` [px] of a body, beyond its edge."""
+    """Return first and last rows and columns within `reach` [px] of a body."""
     return (max(int(row[1] - reach), 0), min(int(row[1] + reach) + 2, shape[0]),
             max(int(row[0] - reach), 0), min(int(row[0] + reach) + 2, shape[1]))
 
 
 @numba.njit(cache=True, nogil=True)
 def _rim(image, row, box):  # type: ignore[no-untyped-def]
-    """Mean grey in the outermost pixel's width of the window: the first guess of the light."""
+    """Return the mean grey in the outermost pixel width of the window, a first background."""
     reach = row[4] + _REACH * row[5]
     total, count = 0.0, 0
     for y in range(box[0], box[1]):
@@ -120,9 +130,9 @@ def _rim(image, row, box):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _accumulate(image, row, box, reach, normal, gradient, slopes):  # type: ignore[no-untyped-def]
-    """Normal equations about `row`, in place; pixels, squared residual, and squares of the disc.
+    """Write the normal equations about `row`; return pixels, squared residual, energy of the disc.
 
-    The latter about their own mean: what there is to explain. The matrix is never singular.
+    The energy is about its mean: what there is to explain. The matrix is never singular.
     """
     normal[:] = 0
     gradient[:] = 0
@@ -153,6 +163,6 @@ def _accumulate(image, row, box, reach, normal, gradient, slopes):  # type: igno
     for j in range(6):
         for k in range(j):
             normal[k, j] = normal[j, k]
-        # What the pixels say nothing of is no singular matrix.
+        # Regularised, so that undetermined parameters do not make the matrix singular.
         normal[j, j] += 1e-9 * normal[j, j] + 1e-12
     return count, squares, energy - total * total / max(count, 1)

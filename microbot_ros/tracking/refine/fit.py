@@ -1,9 +1,9 @@
 """Maximum-likelihood position, contrast, size and cap direction of particles in a picture.
 
-A particle is drawn as background + b + a·[f₀(r/s) + f₁(r/s) cos(φ−θ) + f₂(r/s) cos 2(φ−θ)]
+A particle is modelled as background + b + a·[f₀(r/s) + f₁(r/s) cos(φ−θ) + f₂(r/s) cos 2(φ−θ)]
 about its centre (x, y), with the radial profiles f of `Appearance`. Gauss–Newton on the squared
-residual is maximum likelihood for Gaussian noise; where particles overlap, each is fitted to what
-the others leave, in turn, until they agree.
+residual is maximum likelihood for Gaussian noise; overlapping particles are fitted in turn, each
+to the residual of the others, until they converge.
 
 Parameters of a particle, in this order: x, y [px], contrast a and offset b [grey], relative size
 s, cap direction θ [rad].
@@ -17,22 +17,21 @@ import numpy as np
 
 from microbot_ros.common.compiled import numba
 
-X, Y, CONTRAST, OFFSET, SIZE, THETA = range(6)
-PARAMETERS = 6
+X, Y, CONTRAST, OFFSET, SIZE, THETA, PARAMETERS = range(7)
 
 TABLE_STEP = 1 / 16
-"""Spacing [px] of the profile tables; linear between, so off by 1e-4 of the contrast at most."""
+"""Choice: spacing [px] of the profile tables; interpolation errs by 1e-4 of the contrast."""
 
 FAST = {'reassoc', 'contract', 'arcp', 'nsz'}
-"""All liberties of fast arithmetic but one: NaN and infinity keep their meaning."""
+"""Liberties of fast arithmetic except one: NaN and infinity keep their meaning."""
 
-_SMALLEST, _LARGEST = 0.4, 2.5
-_LONGEST_STEP = 1.0
+# Choices: bounds of the relative size, and the longest step [px], for starts far off.
+_SMALLEST, _LARGEST, _LONGEST_STEP = 0.4, 2.5, 1.0
 
 
 @numba.njit(cache=True, fastmath=FAST, inline='always')
 def _profile(table, harmonic, r):  # type: ignore[no-untyped-def]
-    """Value and radial derivative of one profile; zero beyond the table."""
+    """Return value and radial derivative of one profile; zero beyond the table."""
     position = r * (1 / TABLE_STEP)
     k = int(position)
     if k + 1 >= table.shape[1]:
@@ -44,9 +43,9 @@ def _profile(table, harmonic, r):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _model(parameters, table, u, v):  # type: ignore[no-untyped-def]
-    """What a particle adds to the background at an offset (u, v) from its centre.
+    """Return what a particle adds to the background at an offset (u, v) from its centre.
 
-    A neighbour whose cap has not been found yet counts as round.
+    A neighbour without a known cap direction counts as round.
     """
     r = math.sqrt(u * u + v * v) / parameters[SIZE]
     value = _profile(table, 0, r)[0]
@@ -59,7 +58,7 @@ def _model(parameters, table, u, v):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def background_at(grid, spacing, x, y):  # type: ignore[no-untyped-def]
-    """The background at a point x, y [px], bilinear between the centres of cells.
+    """Return the background at a point `x`, `y` [px], bilinear between the centres of cells.
 
     `grid` (h, w) holds the background of each cell of `spacing` px.
     """
@@ -74,7 +73,7 @@ def background_at(grid, spacing, x, y):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _window(image, grid, spacing, parameters, i, neighbours, table, reach, pixels):  # type: ignore[no-untyped-def]
-    """Fill `pixels` (3, ·) with x, y and the grey that background and neighbours leave."""
+    """Fill `pixels` (3, ·) with x, y and grey minus background and neighbours."""
     row = parameters[i]
     x0, y0 = math.floor(row[X] + 0.5), math.floor(row[Y] + 0.5)
     span = int(reach) + 1
@@ -94,9 +93,9 @@ def _window(image, grid, spacing, parameters, i, neighbours, table, reach, pixel
 
 @numba.njit(cache=True, fastmath=FAST)
 def _accumulate(row, table, pixels, count, free, normal, gradient, columns):  # type: ignore[no-untyped-def]
-    """Normal equations of one Gauss–Newton step; returns the sum of squared residuals.
+    """Write the normal equations of one Gauss–Newton step; return the sum of squared residuals.
 
-    `columns` (7, ·) is room for the derivatives of the picture and the residual at each pixel.
+    `columns` (7, ·) is a buffer for derivatives and residual at each pixel.
     """
     a, s = row[CONTRAST], row[SIZE]
     cos_theta, sin_theta = math.cos(row[THETA]), math.sin(row[THETA])
@@ -143,7 +142,7 @@ def _dot(one, other):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _factor(normal, free):  # type: ignore[no-untyped-def]
-    """Cholesky in place (lower); False where the picture does not determine the parameters."""
+    """Factor in place (Cholesky, lower); False if the parameters are not determined."""
     for m in range(free):
         for n in range(m + 1):
             value = normal[m, n]
@@ -174,7 +173,7 @@ def _solve(factor, free, vector):  # type: ignore[no-untyped-def]
 def invert(normal):  # type: ignore[no-untyped-def]
     """Invert a symmetric positive `normal` (n, n) in place, of which the lower half is read.
 
-    False, and nothing of use in it, where the picture does not determine the parameters.
+    Returns False, leaving it undefined, if the picture does not determine the parameters.
     """
     factor = normal.copy()
     if not _factor(factor, len(normal)):
@@ -188,7 +187,7 @@ def invert(normal):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _point_cap(row, table, pixels, count):  # type: ignore[no-untyped-def]
-    """A first cap direction: where the residual of the round part leans."""
+    """Estimate a first cap direction from the asymmetry of the round part's residual."""
     along, across = 0.0, 0.0
     for k in range(count):
         u, v = pixels[0, k] - row[X], pixels[1, k] - row[Y]
@@ -203,7 +202,7 @@ def _point_cap(row, table, pixels, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _step(row, change, free):  # type: ignore[no-untyped-def]
-    """Apply a step, bounded: far from the solution the linear model overshoots."""
+    """Apply a bounded step: far from the solution the linear model overshoots."""
     length = math.sqrt(change[X] ** 2 + change[Y] ** 2)
     if length > _LONGEST_STEP:
         change[X] *= _LONGEST_STEP / length
@@ -245,15 +244,30 @@ def _fit_one(  # type: ignore[no-untyped-def]
 def fit(image, grid, spacing, parameters, active, table, reach, iterations, sweeps):  # type: ignore[no-untyped-def]
     """Fit all particles of a picture, in place.
 
-    `image` (H, W); `grid` its background in cells of `spacing` px; `parameters` (N, 6) holds the
-    start (θ NaN: found from the picture) and receives the fit where `active` (N,) is True, the
-    rest only being drawn as neighbours; `table` (1 or 3, K) the profiles in steps of `TABLE_STEP`
-    px; `reach` the radius [px] of the fitted disc. `iterations` bounds the Gauss–Newton steps of a
-    particle, `sweeps` counts the turns that particles with neighbours in reach take.
+    A particle that the picture does not determine has NaN errors throughout.
 
-    Returns (N, 8): the standard deviation of each parameter from the residual (NaN where there is
-    none), the residual's variance [grey²] and the number of pixels. A particle that the picture
-    does not determine has NaN throughout.
+    Parameters
+    ----------
+    image : (H, W) array
+    grid : (h, w) array
+        Background in cells of `spacing` px.
+    spacing : int
+    parameters : (N, 6) array
+        Start values (θ NaN: found from the picture), replaced by the fit.
+    active : (N,) bool array
+        Particles to fit; others are only drawn as neighbours.
+    table : (1 or 3, K) array
+        Profiles in steps of `TABLE_STEP` px.
+    reach : float
+        Radius of the fitted disc [px].
+    iterations, sweeps : int
+        Gauss–Newton steps of a particle, and turns of particles with neighbours in reach.
+
+    Returns
+    -------
+    (N, 8) array
+        Standard deviation of each parameter from the residual (NaN if there is none), variance of
+        the residual [grey²], number of pixels.
     """
     count = parameters.shape[0]
     errors = np.full((count, PARAMETERS + 2), np.nan)
@@ -292,7 +306,7 @@ def fit(image, grid, spacing, parameters, active, table, reach, iterations, swee
 
 @numba.njit(cache=True)
 def background_of(grid, spacing, x, y):  # type: ignore[no-untyped-def]
-    """The background at points x, y (N,) [px]: (N,).
+    """Return the background at points `x`, `y` (N,) [px].
 
     `grid` and `spacing` as in `background_at`.
     """

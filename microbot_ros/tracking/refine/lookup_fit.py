@@ -1,10 +1,10 @@
 """The same fit as `fit`, for round particles, in a fixed number of dot products.
 
-For a particle near the centre of one cell of a sub-pixel lattice, the picture is linear in
-contrast, offset and small changes of position and size. The least-squares solution is then a
-fixed set of overlaps per cell, computed once. Each turn moves a particle to its nearest cell;
-when that step is so short that the picture is linear over it, the fit is done. What the edge of
-the picture cuts has other overlaps for each place; they are computed there.
+For a particle near the centre of a cell of a sub-pixel lattice, the picture is linear in contrast,
+offset and small changes of position and size. The least-squares solution is then a fixed set of
+overlaps per cell, computed once. Each turn moves a particle to its nearest cell; when that step is
+short enough for linearity, the fit is done. Particles cut by the edge of the picture have other
+overlaps at each position, computed there.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from microbot_ros.tracking.refine.fit import (
 from microbot_ros.tracking.refine.neighbours import neighbours
 
 _CELLS = 4
-"""Cells per pixel and axis."""
+"""Choice: cells per pixel and axis."""
 
 _EXACT = 0.0005
-"""Pixels: error of the linear step that is nothing beside any noise."""
+"""Choice: error of the linear step [px], far below any noise."""
 
 _SETTLED_AMONG_OTHERS = 0.04
-"""Pixels: after a smaller move another turn would give the same, neighbours included."""
+"""Choice: move [px] after which another turn changes nothing, neighbours included."""
 
+# Choices: most turns of a particle alone, cut by the edge, among others; longest step [px].
 _TURNS, _TURNS_CUT, _TURNS_AMONG_OTHERS = 2, 6, 6
-
 _LARGEST_CHANGE = 0.75
 
 _LEAST_IN_VIEW = 0.4
-"""Share of the fitted disc that the edge of the picture must leave."""
+"""Choice: share of the fitted disc that must lie in the picture."""
 
 
 class _Tables(NamedTuple):
-    """Per cell (row, column): the design D (5, h·w), picture (h′, w′), (DᵀD)⁻¹, pixels; (h, w).
+    """Per cell (row, column): design D (5, h·w), picture (h′, w′), (DᵀD)⁻¹, pixels; window (h, w).
 
-    The rows of D are the changes of the picture with contrast, x, y, size and offset, nothing
-    beyond the fitted disc; so the last one is the disc itself. The picture reaches farther.
+    The rows of D are the changes of the picture with contrast, x, y, size and offset, zero beyond
+    the fitted disc; the last row is thus the disc itself. The picture extends further.
     """
 
     design: np.ndarray
@@ -62,7 +62,7 @@ class _Tables(NamedTuple):
 
 
 class LookupFit:
-    """The pictures and their changes at every sub-pixel cell, for one appearance."""
+    """Pictures and their derivatives at every sub-pixel cell, for one `appearance`."""
 
     def __init__(self, appearance: Appearance) -> None:
         self._near = appearance.reach_px + 0.25 * appearance.diameter_px
@@ -81,32 +81,31 @@ class LookupFit:
         self, image: np.ndarray, grid: np.ndarray, spacing: int, parameters: np.ndarray,
         active: np.ndarray,
     ) -> np.ndarray:
-        """Fit particles of an `image` in place: `grid`, `spacing`, `parameters`, `active` as in
-        `fit.fit`.
+        """Fit particles of an `image` in place.
 
-        Returns what that returns.
+        `grid`, `spacing`, `parameters`, `active` and the result are as in `fit.fit`.
         """
         return _fit(
             image, grid, spacing, parameters, active, self._near, self._settled, self._tables)
 
 
 def _window(reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets u, v (h, w) [px] of the pixels within reach along each axis."""
+    """Return offsets u, v (h, w) [px] of the pixels within `reach` along each axis."""
     half = int(reach)
-    # Rows of whole vectors are several times faster; what is too much weighs nothing.
+    # Rows of whole vectors are several times faster; padding has zero weight.
     across = -(-(2 * half + 1) // 4) * 4
     v, u = np.mgrid[-half:half + 1, -half:across - half].astype(float)
     return u, v
 
 
 def _draw(appearance: Appearance, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """The picture (h, w) at offsets u, v [px] from the centre, to 1 px beyond the disc."""
+    """Return the picture (h, w) at offsets u, v [px] from the centre, to 1 px beyond the disc."""
     near = np.hypot(u, v) <= appearance.reach_px + 1
     return np.where(near, appearance.draw_round(u, v), 0.0)
 
 
 def _draw_design(appearance: Appearance, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """The design (5, h·w) at offsets u, v [px] from the centre."""
+    """Return the design (5, h·w) at offsets u, v [px] from the centre."""
     radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
     r = np.maximum(np.hypot(u, v), 1e-9)
     slope = np.interp(r, radii, np.gradient(appearance.table[0], TABLE_STEP), right=0.0)
@@ -116,7 +115,7 @@ def _draw_design(appearance: Appearance, u: np.ndarray, v: np.ndarray) -> np.nda
 
 
 def _longest_linear_step(appearance: Appearance, u: np.ndarray, v: np.ndarray) -> float:
-    """The longest step along an axis [px] that one turn makes with an error within `_EXACT`."""
+    """Return the longest step along an axis [px] with an error within `_EXACT`."""
     design = _draw_design(appearance, u, v)
     steps = np.arange(0.08, 0.42, 0.02)
     for step in steps:
@@ -129,7 +128,7 @@ def _longest_linear_step(appearance: Appearance, u: np.ndarray, v: np.ndarray) -
 
 @numba.njit(cache=True, inline='always')
 def _place(row):  # type: ignore[no-untyped-def]
-    """Whole pixel and lattice cell of a position."""
+    """Return whole pixel and lattice cell of a position."""
     x, y = math.floor(row[X] + 0.5), math.floor(row[Y] + 0.5)
     i = min(int((row[X] - x + 0.5) * _CELLS), _CELLS - 1)
     j = min(int((row[Y] - y + 0.5) * _CELLS), _CELLS - 1)
@@ -138,9 +137,9 @@ def _place(row):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _gather(image, grid, spacing, x, y, window):  # type: ignore[no-untyped-def]
-    """Fill a window, its middle at the pixel (x, y), with what the light leaves.
+    """Fill a window about the pixel (x, y) with grey minus background, NaN beyond the picture.
 
-    Beyond the edge of the picture there is nothing, NaN; returns whether that is so anywhere.
+    Returns whether any pixel is NaN.
     """
     rows, columns = window.shape
     half = rows // 2
@@ -152,7 +151,7 @@ def _gather(image, grid, spacing, x, y, window):  # type: ignore[no-untyped-def]
     step_x, step_y = np.float32((right - left) / (2 * half)), (below - above) / (2 * half)
     start = (left + right + above + below) / 4 - (step_x + step_y) * half
     if half <= x < width - columns + half and half <= y < height - half:
-        # Unsigned indices can't wrap around, which lets the compiler use vectors.
+        # Unsigned indices cannot wrap around, which lets the compiler vectorise.
         from_x = numba.uintp(x - half)
         for dy in range(rows):
             light = np.float32(start + step_y * dy)
@@ -173,7 +172,7 @@ def _gather(image, grid, spacing, x, y, window):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _take_away(window, x, y, other, pictures):  # type: ignore[no-untyped-def]
-    """Take another particle out of the window whose middle is the pixel (x, y)."""
+    """Subtract another particle from the window centred at the pixel (x, y)."""
     other_x, other_y, i, j = _place(other)
     picture = pictures[j, i]
     rows, columns = picture.shape
@@ -190,7 +189,7 @@ def _take_away(window, x, y, other, pictures):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _project(window, design, overlap):  # type: ignore[no-untyped-def]
-    """Overlaps of the window with the rows of the design; returns its sum of squares."""
+    """Write overlaps of the window with the rows of the design; return its sum of squares."""
     f0, f1, f2, f3, disc = design[0], design[1], design[2], design[3], design[4]
     a = b = c = d = e = squares = np.float32(0.0)
     for m in range(window.size):
@@ -215,9 +214,9 @@ def _dot(one, weight, other):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _project_part(window, design, whole, overlap, covariance):  # type: ignore[no-untyped-def]
-    """As `_project`, over what is no NaN, with the covariance (5, 5) that this leaves.
+    """Apply `_project` to the pixels that are not NaN, with their covariance (5, 5).
 
-    Returns the number of pixels too, 0 where they are too few of the `whole`.
+    Also returns the number of pixels, 0 if they are too few of the `whole`.
     """
     disc, value = design[4].copy(), window.copy()
     for m in range(window.size):
@@ -234,7 +233,7 @@ def _project_part(window, design, whole, overlap, covariance):  # type: ignore[n
 
 @numba.njit(cache=True, fastmath=FAST)
 def _solve(covariance, overlap, solution):  # type: ignore[no-untyped-def]
-    """The linear solution (5,); returns the sum of squares that it explains."""
+    """Write the linear solution (5,); return the sum of squares that it explains."""
     explained = 0.0
     for m in range(5):
         total = 0.0
@@ -247,7 +246,7 @@ def _solve(covariance, overlap, solution):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _update(row, solution, i, j, x, y):  # type: ignore[no-untyped-def]
-    """Parameters from the linear solution about the centre of a cell."""
+    """Set parameters from the linear solution about the centre of a cell."""
     contrast = solution[0]
     row[CONTRAST] = contrast
     row[OFFSET] = solution[4]
@@ -279,8 +278,8 @@ def _conclude(row, squares, pixels, covariance, errors):  # type: ignore[no-unty
 def _turn(row, flat, cut, tables, overlap, solution, covariance):  # type: ignore[no-untyped-def]
     """Fit a particle to a window about its present cell; `covariance` (5, 5) receives its own.
 
-    Returns the residual sum of squares, the number of pixels, 0 where they are too few, and how
-    far from the middle of that cell it is.
+    Returns the residual sum of squares, the number of pixels (0 if too few), and the distance from
+    the middle of the cell.
     """
     x, y, i, j = _place(row)
     if cut:
@@ -301,10 +300,10 @@ def _turn(row, flat, cut, tables, overlap, solution, covariance):  # type: ignor
 def _sweep(  # type: ignore[no-untyped-def]
         image, grid, spacing, parameters, waiting, first, other, settled, tables, squares, pixels,
         covariance):
-    """Refit each particle that waits. One on its own is done then; others, once they hold still.
+    """Refit each waiting particle; one alone is then done, others once they hold still.
 
-    The last three (N, ...) receive what `_conclude` asks for: of `pixels` none for what is not in
-    the picture, or not enough of it.
+    The last three (N, ...) receive the inputs of `_conclude`: no `pixels` for particles not in the
+    picture, or too little.
     """
     height, width = image.shape
     window = np.empty(tables.window, np.float32)

@@ -1,4 +1,4 @@
-"""Who is near whom: among fitted particles, rows as in `fit`, and between two sets of places."""
+"""Neighbours among fitted particles (rows as in `fit`), and between two sets of positions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from microbot_ros.tracking.refine.fit import CONTRAST, X, Y
 
 @numba.njit(cache=True)
 def _downwards(rows):  # type: ignore[no-untyped-def]
-    """The order of particles by y. By insertion: the search has found nearly all in that order."""
+    """Return the order of particles by y, by insertion: the search nearly sorts them so."""
     order = np.arange(len(rows))
     for m in range(1, len(order)):
         i, k = order[m], m
@@ -23,7 +23,7 @@ def _downwards(rows):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _pairs(rows, near):  # type: ignore[no-untyped-def]
-    """Particles within `near` px of each other, the upper one first."""
+    """Return particles within `near` px of each other, the upper one first."""
     pairs = []
     order = _downwards(rows)
     for m in range(len(order)):
@@ -40,7 +40,7 @@ def _pairs(rows, near):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def neighbours(parameters, near):  # type: ignore[no-untyped-def]
-    """Who lies within `near` px of each particle: those of n are other[first[n]:first[n + 1]].
+    """Return the particles within `near` px of each: those of n are other[first[n]:first[n + 1]].
 
     `parameters` (N, 6) as in `fit.fit`.
     """
@@ -60,7 +60,7 @@ def neighbours(parameters, near):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def doubled(rows, good, closest):  # type: ignore[no-untyped-def]
-    """Whether a particle of higher contrast, itself good, lies closer than `closest` px: (N,).
+    """Return whether a good particle of higher contrast lies closer than `closest` px, (N,).
 
     `rows` (N, 6) as in `fit.fit`; `good` (N,).
     """
@@ -73,7 +73,7 @@ def doubled(rows, good, closest):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def count_within(places, others, distance):  # type: ignore[no-untyped-def]
-    """How many of `others` (M, 2) lie within `distance` of each of `places` (N, 2)."""
+    """Return how many of `others` (M, 2) lie within `distance` of each of `places` (N, 2)."""
     count = np.zeros(len(places), np.int64)
     for i in range(len(places)):
         for k in range(len(others)):

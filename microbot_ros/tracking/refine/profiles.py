@@ -19,7 +19,7 @@ from microbot_ros.tracking.refine.fit import (
 
 
 class Samples(NamedTuple):
-    """Pixels (P,) of particles: `r` over size [px], `angle` φ − θ [rad], `grey` over contrast.
+    """P pixels of particles: `r` over size [px], `angle` φ − θ [rad], `grey` over contrast.
 
     `weight` is the contrast [grey], `owner` the number of the particle.
     """
@@ -35,9 +35,9 @@ def samples(
     frames: list[np.ndarray], grids: list[np.ndarray], spacing: int,
     parameters: list[np.ndarray], reach: float,
 ) -> Samples:
-    """All pixels within `reach` [px] of the particles, `parameters` (N, 6) per frame.
+    """Return pixels of `frames` within `reach` [px] of particles, `parameters` (N, 6) per frame.
 
-    `grids`: the background of each frame, in cells of `spacing` px.
+    `grids` hold the background of each frame in cells of `spacing` px.
     """
     parts: list[tuple[np.ndarray, ...]] = []
     span = int(reach)
@@ -59,7 +59,7 @@ def samples(
 
 
 class RadialBasis:
-    """Cubic B-splines in r, flat at r = 0 as a smooth picture is, up to `reach` [px].
+    """Cubic B-splines in r up to `reach` [px], with zero slope at r = 0.
 
     Profiles are tabulated at `radii` (K,) [px], in steps of `TABLE_STEP`.
     """
@@ -71,20 +71,20 @@ class RadialBasis:
         self._table = self._evaluate(radii)
 
     def at(self, r: np.ndarray) -> np.ndarray:
-        """Values (P, K) at r (P,), to the nearest step of the table."""
+        """Return values (P, K) at `r` (P,), to the nearest step of the table."""
         index = np.minimum((r / TABLE_STEP + 0.5).astype(int), len(self._radii) - 1)
         return self._table[index]
 
     def profile(self, coefficients: np.ndarray) -> np.ndarray:
-        """The profile of `coefficients` (splines,) at all radii, nothing beyond the reach."""
+        """Return the profile of `coefficients` (splines,) at all radii, zero beyond the reach."""
         fade = np.clip((self._reach + 1 - self._radii) / 2, 0, 1)
         return self._table @ coefficients * fade * fade * (3 - 2 * fade)
 
     def fit(self, pixels: Samples, harmonics: list[int]) -> np.ndarray:
-        """Profiles of the angular harmonics, by least squares: (len(harmonics), radii).
+        """Fit profiles (len(`harmonics`), radii) of angular harmonics to `pixels`.
 
-        The first is relative to its value at the reach; all are scaled to make its largest
-        magnitude 1.
+        By least squares. The first is relative to its value at the reach; all are scaled such that
+        its largest magnitude is 1.
         """
         radial = self.at(pixels.r)
         design = np.hstack([radial * np.cos(m * pixels.angle)[:, None] for m in harmonics])

@@ -1,4 +1,4 @@
-"""A first idea of how large the particles are and where: blobs that explain the picture best."""
+"""First estimate of size and positions of particles: blobs that explain the picture best."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from microbot_ros.tracking.locate.search import block_mean, peaks, spread
 from microbot_ros.tracking.settings import TrackerSettings
 
 LEAST_DIAMETER = 2.5
-"""Pixels: anything smaller, such as a hot pixel, is not resolved."""
+"""Choice: smallest diameter [px]; anything smaller, such as a hot pixel, is not resolved."""
 
 _LADDER = 2.0 ** np.arange(2, 6.6, 0.5)
-"""Diameters [px] tried: 4 to 76."""
+"""Choice: diameters [px] tried: 4 to 76."""
 
 _NEARLY_ALL = 0.9
-"""The smallest width that explains this share of the most is taken."""
+"""Choice: the smallest width that explains this share of the maximum is taken."""
 
+# Choices: spots per frame, pixels of all spots, and least response in σ of its noise.
 _MOST_CANDIDATES = 80
 _MOST_PIXELS = 150_000
 _LEAST_SIGMA = 8.0
@@ -26,9 +27,9 @@ _LEAST_SIGMA = 8.0
 
 @dataclass(frozen=True)
 class InitialSize:
-    """Spots of one `diameter` [px] and sign (−1 dark, 1 bright): rows x, y, response per frame.
+    """Spots of one `diameter` [px] and `sign` (−1 dark, 1 bright): rows x, y, response per frame.
 
-    `energy` is what their mean picture explains of the frames.
+    `energy` is the energy of the frames that their mean picture explains.
     """
 
     diameter: float
@@ -40,9 +41,10 @@ class InitialSize:
 def best_initial_size(
     frames: list[np.ndarray], settings: TrackerSettings
 ) -> Generator[None, None, InitialSize | None]:
-    """The width and sign whose spots explain most of some `frames` (H, W); None where none does.
+    """Find the width and sign whose spots explain most of `frames` (H, W); None if none does.
 
-    A generator that pauses between portions of the work and returns what it found.
+    A generator that yields between portions of the work and returns the result; `settings` may fix
+    the diameter or the sign.
     """
     signs = {'dark': [-1.0], 'bright': [1.0], None: [-1.0, 1.0]}[settings.contrast]
     ladder = _LADDER if settings.diameter_px is None else [settings.diameter_px]
@@ -55,15 +57,15 @@ def best_initial_size(
             yield
             if initial is not None:
                 candidates.append(initial)
-    # A window wider than the particle explains it all, and a little of what lies around.
+    # A window wider than the particle explains it too, and a little of its surroundings.
     most = max((initial.energy for initial in candidates), default=0.0)
     best = next((initial for initial in candidates if initial.energy > _NEARLY_ALL * most), None)
     return None if best is None else initial_size_at(frames, best.diameter, best.sign)
 
 
 def initial_size_at(frames: list[np.ndarray], diameter: float, sign: float) -> InitialSize | None:
-    """The strongest spots of one `diameter` [px] and sign in every frame; None where none are."""
-    # Enough pixels for a smooth picture; the strongest spots are the likeliest particles.
+    """Return the strongest spots of one `diameter` [px] and `sign` in `frames`; None if none."""
+    # Enough pixels for a smooth picture; the strongest spots are most likely particles.
     most = max(4, int(_MOST_PIXELS / len(frames) / (1.5 * diameter + 3) ** 2 / 4))
     everywhere = [_spots(frame, diameter, sign)[:most] for frame in frames]
     if not any(map(len, everywhere)):
@@ -72,12 +74,11 @@ def initial_size_at(frames: list[np.ndarray], diameter: float, sign: float) -> I
 
 
 def outer_diameter(frames: list[np.ndarray], initial: InitialSize) -> float:
-    """Width [px] at which the typical spot of the `frames` falls to half its contrast, from
-    outside.
+    """Return the width [px] at which the typical spot of `frames` has half contrast, from outside.
 
-    Typical is the median over the spots of their grey values at each distance, each spot weighted
-    by its energy: so neither rings, nor what lies beside some of them, nor many small specks
-    mislead it. The first idea itself where no spot lies wholly in view.
+    Typical is the median over the `initial` spots of their grey values at each distance, weighted
+    by energy, so that rings, neighbours and many small specks do not mislead it. The diameter of
+    `initial` is returned if no spot lies wholly in view.
     """
     profiles = []
     for frame, spots in zip(frames, initial.spots, strict=True):
@@ -99,7 +100,7 @@ def outer_diameter(frames: list[np.ndarray], initial: InitialSize) -> float:
 
 
 def _weighted_median(rows: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """The median (K,) of rows (N, K) that count by `weight` (N,)."""
+    """Return the median (K,) of rows (N, K) weighted by `weight` (N,)."""
     order = np.argsort(rows, axis=0)
     below = np.cumsum(weight[order], axis=0)
     middle = np.argmax(below >= 0.5 * below[-1], axis=0)
@@ -107,7 +108,7 @@ def _weighted_median(rows: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _spots(frame: np.ndarray, diameter: float, sign: float) -> np.ndarray:
-    """Rows (N, 3) x, y, response of the strongest blobs of one width and sign."""
+    """Return rows (N, 3) x, y, response of the strongest blobs of one width and sign."""
     import cv2
 
     shrink = max(1, int(diameter / 8))
@@ -141,7 +142,7 @@ def _initial_size(frames: list[np.ndarray], diameter: float, sign: float) -> Ini
 def _patches(
     frame: np.ndarray, spots: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distance from the centre and grey value, (N, P) each, of discs inside the picture."""
+    """Return distance from the centre and grey value, (N, P) each, of discs inside the picture."""
     span = int(reach)
     v, u = np.mgrid[-span:span + 1, -span:span + 1]
     disc = u**2 + v**2 <= reach**2

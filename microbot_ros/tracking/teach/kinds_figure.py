@@ -1,4 +1,4 @@
-"""A picture of what was learned: what is followed, what stands still, what is left out."""
+"""Figure of what was taught: followed, standing still, left out."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from microbot_ros.tracking.locate.kinds_detector import KindsDetector
 from microbot_ros.tracking.settings import TrackerSettings
 
 _SHOWN = 6
-"""Cut-outs of each kind."""
+"""Choice: cut-outs shown of each kind."""
 
 
 def write_kinds_figure(path: Path, image: np.ndarray, settings: TrackerSettings) -> None:
-    """An `image` (H, W) with what is followed by the `settings` and what is not, cut-outs of each
-    kind, and their ranges in words.
+    """Save a figure to `path`: an `image` (H, W) with what `settings` follow and leave out.
+
+    It adds cut-outs of each kind and their ranges in words.
     """
     from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""Learning what a particle looks like from a few frames, without being told anything."""
+"""Learning the appearance of a particle from a few frames, without examples."""
 
 from __future__ import annotations
 
@@ -34,24 +34,22 @@ from microbot_ros.tracking.teach.initial_size import (
     outer_diameter,
 )
 
-_MOST_FRAMES = 6
-
-_MOST_RESCALINGS = 4
+_MOST_FRAMES, _MOST_RESCALINGS = 6, 4  # choices: frames used, corrections of the first diameter
 _NEAR = 0.25
-"""A guess within this share of the found diameter is good enough."""
+"""Choice: relative error of a first diameter that is good enough."""
 
 _LEAST_OUTLINE = 8.0
-"""Pixels: a smaller particle has no outline to speak of."""
+"""Choice: smallest diameter [px] with a usable outline."""
 
 _CAP_SHOWS = 0.7
-"""Share of the residual variance that a cap must leave at most, to be believed."""
+"""Choice: share of the residual variance that may remain with a cap."""
 
 _IRREGULAR = 0.2
-"""Spread of ln(diameter), or ln(length/width), from which particles count as irregular."""
+"""Choice: spread of ln(diameter), or ln(length/width), from which particles are irregular."""
 
 
 def learn(frames: list[np.ndarray], settings: TrackerSettings) -> Appearance | None:
-    """The typical particle of some frames (H, W); None where nothing stands out of the noise."""
+    """Return the typical particle of `frames` (H, W) by `settings`; None if all is noise."""
     steps = learning(frames, settings)
     while True:
         try:
@@ -62,7 +60,7 @@ def learn(frames: list[np.ndarray], settings: TrackerSettings) -> Appearance | N
 
 
 def learn_first(images: Iterable[np.ndarray], settings: TrackerSettings) -> Appearance | None:
-    """The typical particle, by `settings`, of the first of `images` (H, W) in which any shows."""
+    """Return the typical particle, by `settings`, of the first `images` (H, W) that show any."""
     rest = iter(images)
     while batch := list(islice(rest, settings.learning_frames)):
         if (appearance := learn(batch, settings)) is not None:
@@ -73,12 +71,12 @@ def learn_first(images: Iterable[np.ndarray], settings: TrackerSettings) -> Appe
 def learning(
     frames: list[np.ndarray], settings: TrackerSettings
 ) -> Generator[None, None, Appearance | None]:
-    """`learn` from `frames` in portions of some milliseconds, so that a live loop can go on."""
+    """Run `learn` on `frames` and `settings` in portions of milliseconds, for a live loop."""
     step = max(1, len(frames) // _MOST_FRAMES)
     frames = [np.ascontiguousarray(frame) for frame in frames[::step][:_MOST_FRAMES]]
     initial = yield from best_initial_size(frames, settings)
-    # A wide window collects the energy of debris and halos too: look again at the size of what
-    # was found, or the fits would run into the limits of their size.
+    # A wide window also collects debris and halos: repeat at the size that was found, or the fits
+    # would run into their size limits.
     for _ in range(_MOST_RESCALINGS):
         if initial is None:
             return None
@@ -93,7 +91,7 @@ def learning(
 
 
 class _Learner:
-    """Alternates between where the particles are and what they look like."""
+    """Alternates between positions of the particles and their appearance."""
 
     def __init__(
         self, frames: list[np.ndarray], initial: InitialSize, settings: TrackerSettings,
@@ -110,7 +108,7 @@ class _Learner:
         self._misfit = math.inf
 
     def appearance(self) -> Generator[None, None, Appearance | None]:
-        """The result, in portions."""
+        """Compute the result, in portions."""
         for turn in range(5):
             self._fit(settled=turn > 1)
             yield
@@ -165,7 +163,7 @@ class _Learner:
         return float(2 * self._radii[np.flatnonzero(np.abs(self._table[0]) > 0.5)[-1]])
 
     def _refit(self, k: int, rows: np.ndarray) -> np.ndarray:
-        """Fit the particles of one frame in place; returns the residual variance of each."""
+        """Fit the particles of one frame in place; return the residual variance of each."""
         everything = np.ones(len(rows), bool)
         errors: np.ndarray = fit(
             self._frames[k], self._grids[k], self._spacing, rows, everything, self._table,
@@ -173,7 +171,7 @@ class _Learner:
         return errors[:, PARAMETERS]
 
     def _fit(self, settled: bool) -> None:
-        """Refit all, keep what looks like most others do."""
+        """Refit all, and keep those that look like most others."""
         misfits = []
         for k, rows in enumerate(self._parameters):
             variance = self._refit(k, rows)
@@ -196,7 +194,7 @@ class _Learner:
             self._frames, self._grids, self._spacing, self._parameters, self._reach)
 
     def _trim(self) -> None:
-        """The reach is where the picture ends, with a margin to tell the light from it."""
+        """Reduce the reach to where the picture ends, with a margin of background."""
         end = self._radii[np.flatnonzero(np.abs(self._table[0]) > 0.04)[-1]]
         self._reach = min(self._reach, float(end) + 1.0)
         self._basis = RadialBasis(self._reach, self._radii)
@@ -220,7 +218,7 @@ class _Learner:
         return appearance
 
     def _irregular(self, appearance: Appearance) -> bool:
-        """Whether outlines differ so much that one picture can't fit them all."""
+        """Return whether outlines differ too much for one picture."""
         noise = max(pixel_noise(frame) for frame in self._frames)
         if appearance.diameter_px < _LEAST_OUTLINE or appearance.contrast_grey < 15 * noise:
             return False

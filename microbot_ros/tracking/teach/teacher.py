@@ -1,4 +1,4 @@
-"""Learning kinds from points in pictures: this is one, that is none."""
+"""Learning kinds from points in pictures: examples and counter-examples."""
 
 from __future__ import annotations
 
@@ -15,37 +15,39 @@ from microbot_ros.tracking.locate.search import pixel_noise
 from microbot_ros.tracking.settings import TrackerSettings
 
 _VIEW = 200
-"""Pixels around a point that are looked at to find what is meant."""
+"""Choice: pixels around a point that are examined."""
 
 _WIDEST = 120.0
-"""Pixels: the widest body that can be pointed at."""
+"""Choice: widest body [px] that can be pointed at."""
 
 _PARTS = (0.0, 4.0, 8.0, 16.0, 32.0)
-"""Distances [px] tried, nearer than which parts belong to one body."""
+"""Choice: distances [px] tried below which parts belong to one body."""
 
 _CLEAR = 7.0
-"""Standard deviations of the noise: what stands out less can't be pointed at."""
+"""Choice: standard deviations of the noise by which a body must stand out."""
 
 _SLOPPY = 8.0
-"""Pixels by which people miss."""
+"""Choice: pixels by which people miss."""
 
 _AS_GOOD = 0.6
-"""Share of the contrast that a body must keep where its parts are taken together."""
+"""Choice: share of the contrast that a body must keep when its parts are joined."""
 
 _LONE = 0.6
-"""Share of a body's weight that lies around it, from which on it is taken to be a part."""
+"""Choice: share of a body's weight around it from which it counts as a part."""
 
 _FEWER = 0.7
-"""Share of what lies around a body that parts taken together must leave: else they are others."""
+"""Choice: share of the surroundings that joined parts must leave, or they are other bodies."""
 
 _ACROSS, _PLAIN = 7.5, 0.9
-"""Looked-at pixels across a usual body, enough for its shape: the short way where that is a plain
-one, by its share of the ellipse around it. What is ragged would fall into its parts."""
+"""Choices: shrunk pixels across a usual body, and the fill from which a body is plain.
+
+The short axis counts for a plain body; a ragged one would fall into its parts.
+"""
 
 
 @dataclass(frozen=True)
 class _Meant:
-    """What was pointed at: a kind that looks for such things, and the body (1,) itself."""
+    """What was pointed at: a kind to search for such things, and the body (1,) itself."""
 
     look: Kind
     body: Bodies
@@ -69,12 +71,12 @@ class TwoError(InputError):
 def like(
     settings: TrackerSettings, image: np.ndarray, x: float, y: float, name: str | None = None
 ) -> tuple[TrackerSettings, str]:
-    """The `settings` with what is at (x, y) [px] of an `image` (H, W) as an example.
+    """Return the `settings` with the body at (`x`, `y`) [px] of an `image` (H, W) as an example.
 
-    With a sentence about it. It is of the kind `name`; without one of the only kind, or of
-    `robot`. In the light between two that nearly touch both are meant, as one body. Raises
-    InputError where nothing is there, or two are, or it is one of the counter-examples, and for a
-    name that can't be one.
+    A sentence about it is returned too. It is of the kind `name`; without a name of the only kind,
+    or of `robot`. A point between two bodies that nearly touch means both, as one body. Raises
+    InputError if nothing is there, two bodies are, it is a counter-example, or the name is
+    invalid.
     """
     name = name or (settings.kinds[0].name if len(settings.kinds) == 1 else 'robot')
     known = next((kind for kind in settings.kinds if kind.name == name), None)
@@ -92,7 +94,7 @@ def like(
 
 
 def _named(look: Kind, name: str) -> Kind:
-    """A kind like `look` with this `name`; InputError where it is no name."""
+    """Return a kind like `look` with this `name`; InputError for an invalid name."""
     try:
         return Kind.model_validate({**look.model_dump(), 'name': name})
     except pydantic.ValidationError:
@@ -103,10 +105,11 @@ def _named(look: Kind, name: str) -> Kind:
 def unlike(
     settings: TrackerSettings, image: np.ndarray, x: float, y: float, name: str | None = None
 ) -> tuple[TrackerSettings, str]:
-    """The `settings` without what is at (x, y) [px] of an `image` (H, W), and a sentence.
+    """Return `settings` without bodies like that at (`x`, `y`) [px] of an `image`, and a sentence.
 
-    It is none of the kind `name`; without one, of none that took it for theirs. Raises InputError
-    where nothing is known yet, nothing is there, or it can't be told from the examples.
+    It is a counter-example of the kind `name`; without a name, of every kind that took it for its
+    own. Raises InputError if no kind is known, nothing is there, or it cannot be told from the
+    examples.
     """
     if name is not None and name not in {kind.name for kind in settings.kinds}:
         raise InputError('unlike', f'expected a kind that is known, got {name}')
@@ -127,7 +130,7 @@ def unlike(
 
 
 def forget(settings: TrackerSettings, name: str | None = None) -> tuple[TrackerSettings, str]:
-    """The `settings` without the kind `name`, or without any, and a sentence."""
+    """Return the `settings` without the kind `name`, or without any, and a sentence."""
     if name is not None and name not in {kind.name for kind in settings.kinds}:
         raise InputError('forget', f'expected a kind that is known, got {name}')
     left = tuple(kind for kind in settings.kinds if name is not None and kind.name != name)
@@ -161,7 +164,7 @@ def _learn(kind: Kind, image: np.ndarray, examples: Sequence, counter: Sequence)
 
 
 def _meant(what: str, image: np.ndarray, x: float, y: float, known: Kind | None) -> _Meant:
-    """What somebody means who points at (x, y): by the way a known kind is looked at, or any."""
+    """Return what a person means by pointing at (x, y), searched as a known kind, or as any."""
     height, width = image.shape
     if not (-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5):
         raise InputError(what, f'expected a point in the picture of {width}×{height} pixels, '
@@ -173,20 +176,20 @@ def _meant(what: str, image: np.ndarray, x: float, y: float, known: Kind | None)
 
 
 def _looked_at(image: np.ndarray, kind: Kind) -> Bodies:
-    """All bodies of a picture, seen as a kind is, whatever their traits."""
+    """Return all bodies of a picture, searched as a kind is, whatever their traits."""
     widest = 3 * kind.typical_width_px
     least = min(0.4 * kind.height_grey[0], _CLEAR * pixel_noise(image))
     return find_bodies(image, kind.dark, least, kind.shrink, widest, kind.parts_px)
 
 
 def _pointed(what: str, bodies: Bodies, x: float, y: float) -> int:
-    """The body at a point; InputError where there is none, or where it may be either of two."""
+    """Return the body at a point; InputError if there is none, or it may be either of two."""
     if len(bodies) == 0:
         raise NothingError(what, x, y)
     within = np.all((bodies.lower - 1 <= [x, y]) & ([x, y] <= bodies.upper + 1), axis=1)
     away = np.hypot(bodies.xy[:, 0] - x, bodies.xy[:, 1] - y)
     near = np.flatnonzero(within | (away < bodies.width / 2 + _SLOPPY))
-    # Specks of noise beside a body are not meant.
+    # Ignore specks of noise beside a body.
     near = near[bodies.height[near] > 0.3 * np.max(bodies.height[near], initial=0.0)]
     if len(near) == 0:
         raise NothingError(what, x, y)
@@ -200,7 +203,7 @@ def _pointed(what: str, bodies: Bodies, x: float, y: float) -> int:
 
 
 def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
-    """How to look for such a thing as is at (x, y): sign, resolution, which parts belong to it."""
+    """Return how to search for the body at (x, y): sign, resolution and parts."""
     left, top = max(int(x) - _VIEW, 0), max(int(y) - _VIEW, 0)
     view = np.ascontiguousarray(image[top:int(y) + _VIEW, left:int(x) + _VIEW])
     ways: list[tuple[float, bool, Bodies]] = []
@@ -215,7 +218,7 @@ def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
         if isinstance(problem, TwoError):
             raise TwoError(what, x, y, problem.two)
         raise NothingError(what, x, y)
-    # What is meant is the stronger, unless the point is beside it.
+    # The stronger body is meant, unless the point is beside it.
     off = [np.hypot(body.xy[0, 0] - x + left, body.xy[0, 1] - y + top) / body.width[0]
            for _, _, body in ways]
     best = int(np.argmax([body.height[0] / (1 + 4 * away**2)
@@ -232,9 +235,10 @@ def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
 def _by_parts(
     what: str, view: np.ndarray, x: float, y: float, dark: bool
 ) -> tuple[float, bool, Bodies]:
-    """The body at a point, and how near its parts are: the least that leaves few around it.
+    """Return the body at a point, and the part distance that leaves little around it.
 
-    Where the point is in the light between two: the least that makes them one, up to their width.
+    The distance is the least possible. For a point between two bodies: the least distance that
+    makes them one, up to their width.
     """
     best: tuple[float, float, Bodies] | None = None
     problem: InputError | None = None
@@ -272,12 +276,12 @@ def _by_parts(
 
 
 def _holds(bodies: Bodies, k: int, others: Bodies) -> bool:
-    """Whether the box around body `k` of some holds the centroids of all the `others`."""
+    """Return whether the box around body `k` contains the centroids of all the `others`."""
     return bool(np.all((bodies.lower[k] <= others.xy) & (others.xy <= bodies.upper[k])))
 
 
 def _around(bodies: Bodies, k: int) -> float:
-    """What lies within a width of a body, by height times area, as a share of the body's own."""
+    """Return the weight (height × area) within a width of a body, over its own."""
     weight = bodies.height * bodies.width**2
     reach = bodies.width[k]
     near = np.all((bodies.xy > bodies.lower[k] - reach) & (bodies.xy < bodies.upper[k] + reach),

@@ -1,4 +1,4 @@
-"""Choosing what to follow without being told: what moves, is compact and in focus."""
+"""Choice of what to follow without examples: bodies that move, are compact and in focus."""
 
 from __future__ import annotations
 
@@ -20,43 +20,47 @@ from microbot_ros.tracking.teach.teacher import like
 from microbot_ros.tracking.tracker import make_detector
 
 _SAMPLES = 12
-"""Frames from all over a film by which it is seen what moves and what stands still."""
+"""Choice: frames from all over a film by which motion is detected."""
 
 _LEAST_FRAMES = 24
-"""Frames of a film from which on its samples are searched for what moves."""
+"""Choice: frames of a film from which its samples are searched for motion."""
 
 _LEAST_SPECKS = 20
-"""Detections in a frame, fewer than which are never taken for noise: on a laboratory film a few
-bright marks beside one dark swimmer look like its negative."""
+"""Choice: detections in a frame below which they are never taken for noise.
+
+On a laboratory film a few bright marks beside one dark swimmer look like its negative.
+"""
 
 _MIRRORED = 0.2
-"""Detections in the negative of a frame over those in the frame from which on they are noise. A
-choice: compression noise has 0.44 to 0.82, laboratory films of particles 0.00. At half of it a
-film with a bright particle to ten dark ones would be noise; at twice it some noise would pass."""
+"""Choice: detections in the negative over those in the frame from which they are noise.
+
+Compression noise has 0.44 to 0.82, laboratory films of particles 0.00. At half of it a film with a
+bright particle per ten dark ones would be noise; at twice it some noise would pass.
+"""
 
 _SHRINK, _WIDEST = 2, 120.0
-"""How the pictures are first looked at: pixels taken as one, and the widest body [px]."""
+"""Choices: pixels binned in the first search, and the widest body [px]."""
 
 _CLEAR = 8.0
-"""Standard deviations of the noise that a body must stand out by."""
+"""Choice: standard deviations of the noise by which a body must stand out."""
 
 _LONGEST, _LEAST_FILL = 5.0, 0.55
-"""Length over width, and share of the ellipse around it, of what is compact."""
+"""Choices: length over width, and share of the ellipse around it, of a compact body."""
 
 _BLURRED = 0.55
-"""Width of the edge over that of the body from which on it is out of focus."""
+"""Choice: width of the edge over that of the body from which it is out of focus."""
 
 _EXAMPLES = (0.5, 0.25, 0.75)
-"""Where in the order of contrast the examples are taken from what moves."""
+"""Choice: quantiles of contrast at which examples are taken from moving bodies."""
 
 _AS_DARK = 0.5
-"""Least contrast of an example over that of the first."""
+"""Choice: least contrast of an example over that of the first."""
 
 _AGREED = 0.7
-"""Share of what moves that the usual way must find, to be kept, where it is more exact."""
+"""Choice: share of moving bodies that the usual, more exact detector must find to be kept."""
 
 Finder = Callable[[np.ndarray], np.ndarray]
-"""Places (N, 2) [px] of the particles in a picture (H, W)."""
+"""Function from a picture (H, W) to positions (N, 2) [px] of its particles."""
 
 _NOWHERE = np.empty((0, 2))
 
@@ -65,14 +69,14 @@ class Detector(Protocol):
     """Finds particles in a picture; see `RoundDetector`."""
 
     def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
-        """All particles of `image` (H, W); known ones are `expected` at (M, 2) [px]."""
+        """Return all particles of `image` (H, W); known ones are `expected` at (M, 2) [px]."""
         ...
 
 
 def evenly(images: Iterable[np.ndarray], length: int | None) -> list[np.ndarray]:
-    """Return 12 to 24 of the `images` of a film, evenly spread; all where there are fewer.
+    """Return 12 to 24 of the `images` of a film, evenly spread; all if there are fewer.
 
-    `length` is the number of images that the film states, None where it states none.
+    `length` is the number of images that the film states, None if it states none.
     """
     step = max(1, (length or 10 * _SAMPLES) // _SAMPLES)
     samples: list[np.ndarray] = []
@@ -87,12 +91,11 @@ def evenly(images: Iterable[np.ndarray], length: int | None) -> list[np.ndarray]
 def without_prompt(
     settings: TrackerSettings, samples: list[np.ndarray], length: int
 ) -> tuple[TrackerSettings, list[str]]:
-    """Return the `settings` for a film nobody pointed into, and sentences on what is doubtful.
+    """Return the `settings` for a film without examples, and sentences on doubts.
 
-    They have a kind for what moves in the `samples` (H, W), from all over the film, where the
-    learned picture misses much of it, and no kind where what moves is noise. They are returned as
-    they are where they state what a particle looks like, or for a film of less than 24 frames
-    (`length`).
+    They have a kind for moving bodies in the `samples` (H, W), from all over the film, if the
+    learned picture misses much of them, and no kind if the motion is noise. They are unchanged if
+    they state the appearance of a particle, or for a film of less than 24 frames (`length`).
     """
     stated = (settings.contrast, settings.shape, settings.diameter_px) != (None, None, None)
     if stated or settings.kinds or length < _LEAST_FRAMES or len(samples) < 3:
@@ -114,9 +117,9 @@ def without_prompt(
 
 
 def specks(detector: Detector, samples: list[np.ndarray]) -> int:
-    """Return how many specks of noise a `detector` finds in a frame; 0 where it finds particles.
+    """Return the number of noise specks a `detector` finds in a frame; 0 if it finds particles.
 
-    Noise has as many bright maxima as dark ones, so a detector of noise finds as much in the
+    Noise has as many bright maxima as dark ones, so that a detector of noise finds as much in the
     negative of the `samples` (H, W); a detector of particles finds next to nothing there.
     """
     count = mirrored = 0
@@ -132,11 +135,11 @@ def specks(detector: Detector, samples: list[np.ndarray]) -> int:
 
 
 def choose(frames: list[np.ndarray], settings: TrackerSettings) -> TrackerSettings | None:
-    """The `settings` with a kind for what moves in `frames` (H, W) from all over a film.
+    """Return the `settings` with a kind for moving bodies in `frames` (H, W) from all over a film.
 
-    None where nothing moves that is compact and in focus.
+    None if nothing moves that is compact and in focus.
     """
-    # What is there in the middle of the film may be hidden at its beginning, and the reverse.
+    # Objects in the middle of the film may be hidden at its beginning, and the reverse.
     by_sign = {dark: [_compact(frame, dark) for frame in frames] for dark in (True, False)}
     still = {dark: _standing(seen) for dark, seen in by_sign.items()}
     moving = {dark: [bodies[~_at(bodies, still[dark])] for bodies in seen]
@@ -154,7 +157,7 @@ def _pointed(
     frames: list[np.ndarray], moving: list[Bodies], order: list[tuple[int, int]],
     weight: np.ndarray, height: np.ndarray, settings: TrackerSettings,
 ) -> TrackerSettings | None:
-    """Point at what is typical of what moves, as somebody would."""
+    """Point at typical moving bodies, as a person would."""
     ranked = np.argsort(height)
     share = np.cumsum(weight[ranked]) / np.sum(weight)
     chosen, first = settings, 0.0
@@ -176,11 +179,11 @@ def _pointed(
 def without_standing(
     settings: TrackerSettings, frames: list[np.ndarray], meant: np.ndarray, carried: bool = False
 ) -> TrackerSettings:
-    """The `settings`, with the places where things stand still that look like their kinds.
+    """Return the `settings` with places where still objects look like their kinds.
 
-    `frames` are from all over a film. Not among the places is what is `meant` (M, 2) [px]: who
-    points at something that rests wants it followed. `carried`: what only drifts with the sample
-    stands, too.
+    `frames` are from all over a film. Places near `meant` points (M, 2) [px] are not included: a
+    person who points at a resting body wants it followed. If `carried`, objects that drift with
+    the sample are included.
     """
     places = [place for kind in settings.kinds
               for place in _unmeant(standing(_members(kind, frames), carried), meant)]
@@ -190,11 +193,11 @@ def without_standing(
 def without_creeping(
     settings: TrackerSettings, frames: list[np.ndarray], meant: np.ndarray, x: float, y: float
 ) -> tuple[TrackerSettings, int]:
-    """Return the `settings` without what stays where it is, as what is at (x, y) [px] does.
+    """Return the `settings` without bodies that stay in place like that at (`x`, `y`) [px].
 
-    Nothing changes where what is at (x, y) moves by itself, or `meant` (M, 2) [px] points are
-    there; the number is that of the places left out. A place may creep by its own width. `frames`
-    (H, W) are from all over a film.
+    Nothing changes if the body at (x, y) moves by itself, or `meant` points (M, 2) [px] are there.
+    The number of places left out is returned too. A place may creep by its own width. `frames` (H,
+    W) are from all over a film.
     """
     places = [place for kind in settings.kinds
               for place in _unmeant(creeping(_members(kind, frames)), meant)]
@@ -214,7 +217,7 @@ def _members(kind: Kind, frames: list[np.ndarray]) -> list[Bodies]:
 
 
 def _unmeant(places: list[Place], meant: np.ndarray) -> list[Place]:
-    """Return the `places` that are far from all that is `meant` (M, 2) [px]."""
+    """Return the `places` that are far from all `meant` points (M, 2) [px]."""
     return [place for place in places if not np.any(
         np.hypot(meant[:, 0] - place.x_px, meant[:, 1] - place.y_px) < 2 * place.radius_px)]
 
@@ -242,11 +245,10 @@ def _energy(seen: list[Bodies]) -> float:
 def needed(
     frames: list[np.ndarray], chosen: TrackerSettings, find: Finder, fitted: bool
 ) -> bool:
-    """Whether what was `chosen` follows more in `frames` than the usual way to `find` particles.
+    """Return whether the `chosen` kinds follow more in `frames` than the usual function `find`.
 
-    Where that has a picture that is `fitted`
-    to each particle it is more exact, and kept unless it misses much; outlines are no more exact
-    than those of a kind, which knows them better, and are kept only where they find more.
+    If the usual detector has a picture `fitted` to each particle it is more exact, and kept unless
+    it misses much. Outlines are less exact than kinds, and kept only if they find more.
     """
     detector = KindsDetector(chosen.kinds, chosen.standing)
     both = missed = more = 0

@@ -1,0 +1,130 @@
+"""What any ROS node does: every transition of the lifecycle, simulated time, remapping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rosgraph_msgs.msg import Clock
+from session.recordings import record, small_session
+
+from bench._emulator import Served
+from microbot_ros.nodes.base.messages import stamp_at
+from microbot_ros.nodes.base.names import NODES
+from microbot_ros.nodes.base.topics import TOPICS, type_name
+from microbot_ros.nodes.process import make
+
+_STEPS = [
+    (Transition.TRANSITION_DEACTIVATE, State.PRIMARY_STATE_INACTIVE),
+    (Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE),
+    (Transition.TRANSITION_DEACTIVATE, State.PRIMARY_STATE_INACTIVE),
+    (Transition.TRANSITION_CLEANUP, State.PRIMARY_STATE_UNCONFIGURED),
+    (Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE),
+    (Transition.TRANSITION_CLEANUP, State.PRIMARY_STATE_UNCONFIGURED),
+    (Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE),
+    (Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE)]
+_SHUTDOWNS = {
+    (): Transition.TRANSITION_ACTIVE_SHUTDOWN,
+    (Transition.TRANSITION_DEACTIVATE,): Transition.TRANSITION_INACTIVE_SHUTDOWN,
+    (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
+        Transition.TRANSITION_UNCONFIGURED_SHUTDOWN}
+
+
+@pytest.fixture
+def start(ros: Any, tmp_path: Path) -> Any:
+    """Starts a node by its name, with all that it needs to be active."""
+    ends: list[Callable[[], None]] = []
+
+    def begin(name: str, **more: Any) -> Any:
+        amplifier = Served(tmp_path)
+        ends.append(amplifier.end)
+        frames = tmp_path / 'frames'
+        frames.mkdir()
+        cv2.imwrite(str(frames / '0.png'), np.full((480, 640), 128, np.uint8))
+        session = record(tmp_path / 'session', small_session())
+        own: dict[str, dict[str, Any]] = {
+            'camera': {'source': str(frames)},
+            'cockpit': {'port': 0, 'token': False},
+            'coil_driver': {'port': amplifier.url},
+            'player': {'session': str(session)},
+            'recorder': {'folder': str(tmp_path / 'out'), 'recording': False},
+            'tracker': {'pixel_size_um': 0.45},
+            'virtual_rig': {'amplifier_log': str(amplifier.log)}}
+        graph = ros({name: {**own.get(name, {}), **more}})
+        assert graph.add(name).active, graph.nodes[name].fault
+        return graph
+
+    yield begin
+    for end in ends:
+        end()
+
+
+def _change(graph: Any, name: str, transition: int) -> int:
+    """The state after a `transition` that `ros2 lifecycle set` would ask for."""
+    assert graph.call(ChangeState, f'{name}/change_state', ChangeState.Request(
+        transition=Transition(id=transition))).success
+    state: int = graph.call(GetState, f'{name}/get_state', GetState.Request()).current_state.id
+    return state
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_every_transition_leads_there_and_back(start: Any, name: str) -> None:
+    graph = start(name)
+    for transition, state in _STEPS:
+        assert _change(graph, name, transition) == state
+    assert graph.nodes[name].active
+    assert not graph.nodes[name].fault
+
+
+@pytest.mark.parametrize('before', _SHUTDOWNS)
+@pytest.mark.parametrize('name', NODES)
+def test_every_state_can_be_shut_down(start: Any, name: str, before: tuple[int, ...]) -> None:
+    graph = start(name)
+    for transition in before:
+        _change(graph, name, transition)
+    assert _change(graph, name, _SHUTDOWNS[before]) == State.PRIMARY_STATE_FINALIZED
+
+
+@pytest.mark.parametrize('name', ['tracker', 'model', 'controller', 'recorder'])
+def test_simulated_time_is_that_of_the_clock(start: Any, name: str) -> None:
+    graph = start(name, use_sim_time=True)
+    clock = graph.probe.create_publisher(Clock, '/clock', 10)
+    node = graph.nodes[name]
+
+    def told() -> bool:
+        clock.publish(Clock(clock=stamp_at(1_234_500_000_000)))
+        return bool(node.get_clock().now().nanoseconds == 1_234_500_000_000)
+    graph.until(told)
+
+
+def test_topics_are_remapped(ros: Any) -> None:
+    ros({})
+    node = make('tracker', ['--ros-args', '-p', 'pixel_size_um:=0.45', '-r', 'particles:=seen',
+                            '-r', 'camera/image_raw:=left/image_raw'])
+    try:
+        node.trigger_configure()
+        assert node.count_publishers('/seen') == 1
+        assert node.count_publishers('/particles') == 0
+        assert node.count_subscribers('/left/image_raw') == 1
+    finally:
+        node.make_safe_and_close()
+        node.destroy_node()
+
+
+def test_recorded_definitions_are_those_of_the_distribution(ros: Any) -> None:
+    """Of each type that is recorded, by the hash that the middleware announces (REP 2016)."""
+    from microbot_ros.session.mcap.bag import typestore
+
+    probe = ros({}).probe
+    for kind in {kind for kind, _ in TOPICS.values()}:
+        name = type_name(kind)
+        publisher = probe.create_publisher(kind, 'hashed', 1)
+        info, = probe.get_publishers_info_by_topic('/hashed')
+        assert str(info.topic_type_hash) == typestore().hash_rihs01(name), name
+        probe.destroy_publisher(publisher)
