@@ -116,6 +116,8 @@ class ControllerThread:
             controller.parameters = self._parameters
             raise
         self._parameters, self._configured = parameters, None
+        if not self._active:
+            self._worker.leave_behind()  # a controller that does not drive needs no thread
 
     def restore(self, parameters: Any, seconds: float = CONFIGURING) -> None:
         """Set parameters that it had before, within `seconds`.
@@ -159,6 +161,7 @@ class ControllerThread:
         self._active = False
         try:
             self._call(self._controller.deactivate, deadline, replace_late=True)
+            self._worker.leave_behind()
         except Exception as error:
             _log.warning('%s: deactivating: %s', self._name, reason(error))
 

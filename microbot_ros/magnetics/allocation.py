@@ -1,8 +1,7 @@
 """Coil currents for a wanted field: least power within exact limits, direction before magnitude.
 
 N currents make two or three field components, A I + background = wanted. The remaining freedom
-minimises the heat Σ R I², or first the gradient if that is requested. The limits |Iₖ| ≤ Lₖ are met
-exactly, without scaling or clipping:
+minimises the heat Σ R I². The limits |Iₖ| ≤ Lₖ are met exactly, without scaling or clipping:
 
 * The reachable fields are the zonotope {A I : |Iₖ| ≤ Lₖ}. Each of its faces is spanned by columns
   of A, one fewer than there are components. The largest field along a direction is where a ray
@@ -29,9 +28,6 @@ from numpy.typing import ArrayLike
 from microbot_ros.common.errors import InputError
 from microbot_ros.magnetics.coils import CoilSet
 
-# Choice: weight of the gradient over the heat, both scaled by their largest singular value. The
-# gradient that can be cancelled falls to the square of the inverse, 1e-8 of its value.
-_GRADIENT_WEIGHT = 1e4
 # Choice: a direction with less than this part of the field of the best direction counts as one
 # that the coils cannot make; rounding is around 1e-12.
 _SINGULAR = 1e-6
@@ -91,8 +87,6 @@ class Allocator:
     ----------
     coils : CoilSet
     point : (3,) array [m]
-    cancel_gradient : bool
-        Minimise the gradient along the same axes before the heat.
 
     Raises
     ------
@@ -101,9 +95,7 @@ class Allocator:
         direction), a wire lies at the point, or the background exceeds what the coils can cancel.
     """
 
-    def __init__(
-        self, coils: CoilSet, point: ArrayLike = (0.0, 0.0, 0.0), cancel_gradient: bool = False,
-    ) -> None:
+    def __init__(self, coils: CoilSet, point: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         from microbot_ros.magnetics.allocation_kernels import within_limits
         axes = coils.axes
         self.matrix = coils.actuation_matrix(point)[:axes]
@@ -112,10 +104,6 @@ class Allocator:
         self._point = np.reshape(np.asarray(point, dtype=float), (1, -1))
         _refuse_singular(self.matrix, point)
         self._cost = np.diag(np.sqrt(coils.resistance))
-        if cancel_gradient:
-            gradient = self._gradient.reshape(axes * axes, -1)
-            weight = _GRADIENT_WEIGHT * self._cost.max() / np.linalg.norm(gradient, 2)
-            self._cost = np.vstack([weight * gradient, self._cost])
         spare = np.linalg.svd(self.matrix)[2][axes:].T
         count = len(coils.names)
         cheapest = np.eye(count) - spare @ np.linalg.pinv(self._cost @ spare) @ self._cost

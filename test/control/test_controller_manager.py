@@ -92,6 +92,7 @@ class SpinsInTurn(East):
         hangs_in: str = ''
 
     def _maybe(self, where):
+        self.thread = threading.current_thread()
         while self.parameters.hangs_in == where:
             pass
 
@@ -276,16 +277,25 @@ def test_what_hangs_in_a_swap_costs_a_deadline_and_a_fresh_one_stands_in(where):
     manager = ControllerManager({'hold': Hold(), 'it': it}, 'hold', deadline=1.0, patience=0.1)
     run(manager, 1)
     assert manager.configure('it', SpinsInTurn.Parameters(where)).ok
-    thread = manager._threads['it']._worker._thread
     assert manager.switch_controller('it').ok == (where == 'deactivate')
     assert manager.switch_controller('hold').ok
     assert run(manager, 1)[0].result is Result.OK
-    thread.join(30)
-    assert not thread.is_alive()
+    it.thread.join(30)
+    assert not it.thread.is_alive()
     assert manager.configure('it', SpinsInTurn.Parameters()).ok
     assert manager.switch_controller('it').ok
     assert run(manager, 1)[0].result is Result.OK
     assert manager._threads['it']._controller is not it
+
+
+def test_only_the_controller_that_drives_has_a_thread():
+    manager = ControllerManager({name: Hold() for name in 'abc'}, 'a', deadline=AMPLE)
+    run(manager, 1)
+    for name in 'abc':
+        assert manager.configure(name, Hold.Parameters()).ok
+    assert manager.switch_controller('b').ok
+    run(manager, 1)
+    assert [name for name, it in manager._threads.items() if it._worker._thread] == ['b']
 
 
 def test_a_fresh_one_that_can_not_be_configured_does_not_take_over(tmp_path):

@@ -76,9 +76,9 @@ def test_field_in_reach_is_made_exactly_and_as_cheaply_as_can_be(coils, angle, p
 
 
 @settings(max_examples=60)
-@given(rigs, angles, st.floats(1.0001, 1e6), st.booleans())
-def test_field_out_of_reach_keeps_direction_and_the_most_there_is(coils, angle, beyond, cancel):
-    allocator = Allocator(coils, cancel_gradient=cancel)
+@given(rigs, angles, st.floats(1.0001, 1e6))
+def test_field_out_of_reach_keeps_direction_and_the_most_there_is(coils, angle, beyond):
+    allocator = Allocator(coils)
     unit = direction(angle)
     largest = largest_by_linprog(coils, allocator, unit)
     found = allocator.allocate(beyond * largest * unit)
@@ -141,37 +141,6 @@ def test_zero_field_has_no_direction():
         Allocator(CoilSet()).largest((0, 0))
 
 
-@settings(max_examples=30)
-@given(rigs, angles)
-def test_spare_currents_cancel_what_gradient_they_can_at_a_price(coils, angle):
-    point = np.array([2e-3, 1e-3, 0])
-    least, cancelling = Allocator(coils, point), Allocator(coils, point, cancel_gradient=True)
-    wanted = coils.background + 1e-4 * direction(angle)
-    maps = coils.gradient_per_ampere(point[None])[:, 0, :2, :2].reshape(4, 4).T
-    spare = np.linalg.svd(least.matrix)[2][2:].T
-    found = cancelling.allocate(wanted)
-    np.testing.assert_allclose(found.field, wanted, atol=1e-14)
-    # No step along the spare currents lowers the gradient.
-    slope = maps @ spare
-    assert np.abs(slope.T @ maps @ found.currents).max() < 1e-6 * np.linalg.norm(
-        slope) * np.linalg.norm(maps @ least.allocate(wanted).currents)
-    ratio = found.power / least.allocate(wanted).power
-    assert ratio >= 1 - 1e-9
-
-
-def test_gradient_of_an_uneven_rig_at_its_centre_cancels():
-    content = CoilSettings().model_dump(exclude_none=True)
-    content['windings'][0]['gain'] = 0.62
-    content['windings'][0]['resistance_ohm'] = 2.0
-    coils = CoilSet(CoilSettings.model_validate(content))
-    left = {}
-    for cancel in (False, True):
-        found = Allocator(coils, cancel_gradient=cancel).allocate((1e-3, 5e-4))
-        left[cancel] = np.abs(coils.gradient(found.currents, [[0, 0, 0]])[0, :2, :2]).max()
-    assert left[False] > 1e-3
-    assert left[True] < 1e-7 * left[False]
-
-
 def test_background_beyond_the_coils_and_coils_in_line_are_refused():
     settings_ = CoilSettings(background_mT=(9.0, 0.0))
     with pytest.raises(InputError, match='background_mT: expected a field that the coils can'):
@@ -181,9 +150,8 @@ def test_background_beyond_the_coils_and_coils_in_line_are_refused():
         winding.update(position_mm=(30 + k, 0, 0), axis=(1, 0, 0))
     with pytest.raises(InputError, match='every field direction'):
         Allocator(CoilSet(CoilSettings.model_validate(content)))
-    for cancel in (False, True):
-        with pytest.raises(InputError, match='every field direction'):
-            Allocator(CoilSet(), (30e-3, 20e-3, 0), cancel_gradient=cancel)  # on a wire
+    with pytest.raises(InputError, match='every field direction'):
+        Allocator(CoilSet(), (30e-3, 20e-3, 0))  # on a wire
 
 
 # Of the enumeration of faces, which knew four coils and two axes only: (seed, wanted), currents.
