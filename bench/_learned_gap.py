@@ -28,7 +28,7 @@ def gaps(filmed: Filmed, session: PreparedSession,
          ways: Sequence[Callable[[np.ndarray], Foretold]]) -> list[float]:
     """Held-out gap [m] of one axis a second ahead, by each of the `ways` to foretell a `session`.
 
-    A way is told which rows (T,) are shown. As `held_out_gap`, blocks learned from the others, but
+    A way is told which rows (T,) are shown. As `hold_out`, blocks learned from the others, but
     against the displacement that the world really asked for, since the noise of a minute hides
     what is less than a quarter of its floor; beyond what is missed where all that was hidden is
     known, and v and φ are not.

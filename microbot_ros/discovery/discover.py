@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from microbot_ros.common.records import Session
-from microbot_ros.common.units import symbol
-from microbot_ros.discovery.check.held_out import held_out_gap
+from microbot_ros.common.units import suffix, symbol
+from microbot_ros.discovery.check.held_out import hold_out
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.check.score_tests import residual_maps
 from microbot_ros.discovery.evidence import FitEvidence
@@ -25,7 +25,7 @@ from microbot_ros.discovery.learned.learn import (
 from microbot_ros.discovery.learned.likeness import confirmation, looks_like
 from microbot_ros.discovery.next_experiment import next_experiment
 from microbot_ros.discovery.processes import Run, in_processes, serially
-from microbot_ros.discovery.report.words import words
+from microbot_ros.discovery.report.words import bare, words
 from microbot_ros.discovery.result import (
     Considered,
     Discovery,
@@ -42,6 +42,16 @@ from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
 
 ONE_SIDED = 1.645
+
+ALIKE = 0.1
+"""Relative difference between two speeds from which it is remarked: a choice."""
+
+NOTED = 0.02
+"""Fluctuation of a speed, a direction [rad] or a step, and part of a frame interval, from which
+it is remarked: a choice."""
+
+TRAVELLED = 10e-6
+"""Distance [m] for which it is remarked how much it varies."""
 
 
 def discover(sessions: Sequence[Session],
@@ -61,25 +71,31 @@ def discover(sessions: Sequence[Session],
     judgement = judge(known, run)
     report('asking whether something is there that no name explains')
     judgement = scrutinised(known, judgement, report)
-    fit, start = known.fit, known.start
-    before = residual_maps(start, run) if known.slots else judgement.maps
+    start = known.start
+    learned = _learned(known, report) if judgement.left else None
+    report('predicting what was held out')
+    predicted = hold_out(
+        learned.fit if learned else known.fit, [p.session for p in start.session_fits],
+        known.credible, truth, run, partial(relearn, learned.findings) if learned else None)
+    if judgement.left and not predicted.worth_explaining(known.fit):
+        judgement = judgement.foretelling_nothing()
     complete = judgement.verdict != 'unnamed'
-    intervals = Intervals(fit, complete, known.within_reach() if complete else ())
+    if complete:
+        learned = None
+    fit = learned.fit if learned else known.fit
+    intervals = Intervals(known.fit, complete, known.within_reach() if complete else ())
     effects = [NamedEffect(
         slot.own.id, judgement.status(slot.own.id), intervals.effect(slot.own.id),
         slot.own.evidence, slot.own.found.delta_bic, slot.own.found.p_value,
         tuple(one.id for one in slot.within_reach)) for slot in known.slots]
-    learned = None if complete else _learned(known, report)
     if learned:
-        fit = learned.fit
         intervals = Intervals(fit, complete=False)
-    report('predicting what was held out')
     return Discovery(
         verdict=judgement.verdict,
         effects=tuple(sorted(effects, key=lambda e: -e.log_evidence)),
-        gap=held_out_gap(fit, [p.session for p in start.session_fits], known.credible, truth, run,
-                         partial(relearn, learned.findings) if learned else None),
-        maps_before=before, maps_after=judgement.maps,
+        gap=predicted.gap(fit),
+        maps_before=residual_maps(start, run) if known.slots else judgement.maps,
+        maps_after=judgement.maps,
         unexplained=_worst([*judgement.left, *judgement.beside]),
         considered=tuple(Considered(
             one.id, one.evidence, one.found.likelihood_ratio, one.found.dof,
@@ -95,7 +111,8 @@ def discover(sessions: Sequence[Session],
         model=fit.model,
         particles=_particle_parameters(fit),
         remarks=(*remarks, *_reservations(known, judgement), *_confounded(start),
-                 *_not_thermal(fit), *_unsteady(fit)),
+                 *_not_thermal(fit), *_unsteady(fit), *_unlike_fit(start, fit),
+                 *_beyond_commands(fit)),
         learned=_told(learned) if learned else (),
     )
 
@@ -168,17 +185,58 @@ def _not_thermal(fit: ModelFit) -> list[str]:
 
 
 def _unsteady(fit: ModelFit) -> list[str]:
-    """How speeds of each session fluctuate, where they do: part of the noise, not an effect."""
+    """Return how velocities of each session fluctuate: part of the noise, not an effect."""
     told = []
     for p in fit.session_fits:
         if p.whitening.fluctuation is None:
             continue
-        said = (f'{p.session.name}: speeds fluctuate by {100 * p.fluctuation:.0f} % with a '
-                f'correlation time of {p.whitening.fluctuation:.2g} s')
-        if p.swing > 0:
-            said += (f', and positions swing along the motion by {p.swing * 1e6:.2g} µm (standard '
-                     'deviation), as of particles that roll unevenly')
-        told.append(said + '. Both are part of the noise.')
+        parts = {
+            f'speeds fluctuate by {100 * p.fluctuation:.0f} % with a correlation time of '
+            f'{p.whitening.fluctuation:.2g} s': p.fluctuation > NOTED,
+            f'directions of travel fluctuate by {np.degrees(p.wander):.1f}°': p.wander > NOTED,
+            f'a step of {TRAVELLED * 1e6:g} µm varies by {p.unevenness(TRAVELLED) * 1e6:.2g} µm':
+                p.unevenness(TRAVELLED) > NOTED * TRAVELLED,
+            f'positions swing along the motion by {p.swing * 1e6:.2g} µm (standard deviation), as '
+            'of particles that roll unevenly': p.swing > p.localisation,
+            f'commands act up to {p.jitter * 1e3:.2g} ms (standard deviation) earlier or later '
+            'than elsewhere': p.jitter > NOTED * p.session.interval,
+        }
+        if found := [one for one, noted in parts.items() if noted]:
+            told.append(f'{p.session.name}: {"; ".join(found)}. This is part of the noise.')
+    return told
+
+
+def _unlike_fit(start: ModelFit, fit: ModelFit) -> list[str]:
+    """Return why speeds are not those of `microbot fit`, where they differ by more than ALIKE."""
+    before, after = (np.concatenate([
+        np.abs(p.velocity_phasor[p.session.main]) for p in one.session_fits])
+        for one in (start, fit))
+    moved = (before > 0) & (after > 0)
+    if not moved.any() or np.abs(np.log(after[moved] / before[moved])).max() < np.log1p(ALIKE):
+        return []
+    what, unit = ('gain', 'µm/s/Hz') if fit.model.propulsion == 'rolling' else ('speed', 'µm/s')
+    usual, found = (float(np.median(one[moved])) * 1e6 for one in (before, after))
+    return [f'The {what} is {found:.3g} {unit} (median) beside the effects. It is {usual:.3g} '
+            f'{unit} in the first-order model, which is that of microbot fit: the effects change '
+            'speeds on average.']
+
+
+def _beyond_commands(fit: ModelFit) -> list[str]:
+    """Return which corners of a drive response lie outside the frequencies that were commanded."""
+    used = FitEvidence(fit).frequencies
+    driven = used[used > 0]
+    told = []
+    for effect in fit.model.effects:
+        if not effect.is_drive_curve or not driven.size:
+            continue
+        corners = {bare(p.name): value for p, value in effect.values().items()
+                   if suffix(p.name) == '_hz'}
+        if out := [name for name, value in corners.items()
+                   if 0 < value < driven[0] or value > driven[-1]]:
+            told.append(
+                f'{words(effect.id)}: {" and ".join(out)} outside the commanded frequencies, '
+                f'{driven[0]:g} to {driven[-1]:g} Hz. The curve is known between these; the '
+                'corner, and the gain with it, are not.')
     return told
 
 

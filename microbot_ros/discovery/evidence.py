@@ -64,12 +64,20 @@ class FitEvidence(Evidence):
     def has_neighbours(self) -> bool:
         return any(len(p.session.ids) > 1 for p in self.fit.session_fits)
 
-    def absorbs(self, little: Effect) -> bool:
+    def absorbs(self, little: Effect, beside: Sequence[Effect] = ()) -> bool:
         # What is left of it then shows in the likelihood only through what else is wrong.
         bare = ModelFit(replace(self.fit.model, effects=()), self.fit.session_fits)
-        tried = bare.under(bare.model.with_effect(little))
-        power = sum(float((np.abs(jacobian) ** 2).sum()) for jacobian in tried.jacobian)
-        return bool(np.trace(tried.normal[0]) < ABSORBED * power)
+        model = bare.model
+        for effect in (*beside, little):
+            model = model.with_effect(effect)
+        tried = bare.under(model)
+        own = np.array([name == little.id for name, _ in model.parameters])
+        information = tried.normal[0]
+        shared = information[np.ix_(own, ~own)]
+        left = information[np.ix_(own, own)] - shared @ np.linalg.pinv(
+            information[np.ix_(~own, ~own)], hermitian=True) @ shared.T
+        power = sum(float((np.abs(jacobian[..., own]) ** 2).sum()) for jacobian in tried.jacobian)
+        return bool(np.trace(left) < ABSORBED * power)
 
     def near_nothing(self, kind: type[AnyEffect]) -> Sequence[AnyEffect]:
         parameters = kind.parameters()

@@ -53,9 +53,10 @@ FEW = 2
 """Effects beside which speeds are first looked at: what stands in for speeds that fluctuate comes
 after what is there, as a rule."""
 
-MOST = 4
-"""Effects in a model. Rollers on a rig need a delay, a ratio of coils, a dead band and a response
-to the drive. With 3 one of these stays unexplained and makes the verdict `unnamed`."""
+MOST = 5
+"""Effects in a model. Rollers on a rig need a delay, a ratio of coils, a dead band, a response to
+the drive and a drift. With 3 one or two of these stay unexplained and make the verdict `unnamed`.
+"""
 
 WORTH = 1.0
 """Gain in log odds from which an effect is taken into the model, to look on beside it."""
@@ -303,8 +304,9 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
 
     Effects are added while the odds are for them, dropped where they are not any more, and
     exchanged for rivals that became likelier, from the effects `taken` at a look before on. The
-    search ends where a set of effects would come again. Where the model that is found leaves
-    speeds that fluctuate, the search goes on from it with these in the noise of all fits.
+    search ends where a set of effects would come again, with the likeliest that was visited. Where
+    the model that is found leaves velocities that fluctuate, the search goes on from it with these
+    in the noise of all fits.
     `report` is told what is being done; `run` shares the candidates.
     """
     known = _search(sessions, taken, FEW, report, run)
@@ -332,7 +334,7 @@ def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int
         report('looking beside ' + (', '.join(e.id for e in fit.model.effects)
                                     or 'the first-order model'))
         slots = _slots(fit, run)
-        better = _exchange(slots)
+        better = _exchange(slots, [one.names for one in looked])
         more = _others(fit, run) if better is None else ()
         looked.append(Hypotheses(start, fit, slots, more))
         if more and len(slots) < most and _is_worth_adding(more[0]):
@@ -340,11 +342,16 @@ def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int
         if better is None:
             break
         fit = fit_sessions(better, sessions)
-        if known := next((one for one in looked if _same(one.fit.model, fit.model)), None):
-            looked.append(known)
+        if any(_same(one.fit.model, fit.model) for one in looked):
             break
-    known = looked[-1]
+    known = looked[-1] if better is None else _likeliest(looked)
     return known if known.more else replace(known, more=_others(known.fit, run))
+
+
+def _likeliest(looked: Sequence[Hypotheses]) -> Hypotheses:
+    """Return the hypotheses of the largest evidence, of those whose effects are all possible."""
+    possible = [one for one in looked if all(_possible(slot.own.found) for slot in one.slots)]
+    return max(possible or looked, key=lambda one: one.evidence)
 
 
 def _same(one: Model, other: Model) -> bool:
@@ -371,15 +378,22 @@ def _slots(fit: ModelFit, run: Run) -> tuple[Slot, ...]:
     return tuple(slots)
 
 
-def _exchange(slots: Sequence[Slot]) -> Model | None:
+def _exchange(slots: Sequence[Slot], visited: Sequence[tuple[str, ...]]) -> Model | None:
     """The model with an effect less that is not worth it, or with a likelier rival in its place.
+
+    No rival that leads to a set of effects that was `visited`: two that are each likelier than the
+    other, beside the noise of the other, may both be there.
     """
     for slot in slots:
         if slot.own.evidence < likelier_than_not() or not _possible(slot.own.found):
             return slot.rest.model
+    for slot in slots:
         for rival in slot.rivals:
-            if slot.behind(rival) < (-LIKELIER if rival.found.shape_seen else -CLEARLY):
-                return rival.found.fit.model
+            model = rival.found.fit.model
+            known = any({e.id for e in model.effects} == {*names} for names in visited)
+            if not known and slot.behind(rival) < (
+                    -LIKELIER if rival.found.shape_seen else -CLEARLY):
+                return model
     return None
 
 

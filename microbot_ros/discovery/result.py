@@ -316,15 +316,16 @@ class Discovery:
 
     def sentences(self) -> list[str]:
         """The verdict for people, the effects, the gap, remarks."""
+        against = ', '.join(m.against for m in self.unexplained)
         said = {
-            'consistent': ['The first-order model explains the data: nothing is missing.'
-                           if not self.effects else
-                           'The first-order model explains the data, but for a hint:'],
-            'named': ['The model is complete with:' if not self.unexplained else
-                      'What is left, against ' + ', '.join(m.against for m in self.unexplained)
-                      + ', is small beside:'],
+            'consistent': [('The first-order model explains the data' + (
+                ', but for a hint:' if self.effects else ': nothing is missing.')),
+                *([f'What is left, against {against}, is no help in predicting.']
+                  if against else [])],
+            'named': [f'What is left, against {against}, is small beside:' if against else
+                      'The model is complete with:'],
             'unnamed': ['Something is there that no effect of the library explains; it depends on '
-                        + ', '.join(m.against for m in self.unexplained) + '.'],
+                        f'{against}.'],
         }[self.verdict]
         said += [effect.sentence() for effect in self.effects]
         said += [one.sentence() for one in self.learned]

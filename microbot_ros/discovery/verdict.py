@@ -84,6 +84,16 @@ class Judgement:
             return 'proxy'
         return 'established' if name in self.named else 'suggested'
 
+    def foretelling_nothing(self) -> Judgement:
+        """Where what is left, in maps or as a learned term, foretells nothing of other rows.
+
+        Names then need not explain it: it stands beside them. But for a rhythm, which no term that
+        is learned could show.
+        """
+        rhythm = tuple(m for m in self.left if m.against.startswith('rhythm'))
+        beside = tuple(m for m in self.left if m not in rhythm)
+        return replace(self, left=rhythm, beside=(*beside, *self.beside), unlisted=False)
+
     @property
     def answered(self) -> bool:
         """Whether it is settled, or known to be in no list."""

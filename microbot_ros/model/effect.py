@@ -223,8 +223,11 @@ class Evidence(Protocol):
     def has_neighbours(self) -> bool:
         """Whether a recording has more than one particle."""
 
-    def absorbs(self, little: Effect) -> bool:
-        """Whether speeds and φ absorb a `little` of an effect, so that it can't be told."""
+    def absorbs(self, little: Effect, beside: Sequence[Effect] = ()) -> bool:
+        """Whether speeds and φ absorb a `little` of an effect, so that it can't be told.
+
+        Together with a little of the effects `beside`.
+        """
 
     def near_nothing(self, kind: type[AnyEffect]) -> Sequence[AnyEffect]:
         """Of a `kind`, with little strength; for one parameter the best of a coarse row too."""

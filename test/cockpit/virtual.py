@@ -12,6 +12,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+# Also as a program of its own, for looking.
+sys.path.insert(0, str(Path(__file__).parents[1] / 'harness'))
+
 from rig_file import write_rig
 
 from microbot_ros.cockpit.address import WORDS

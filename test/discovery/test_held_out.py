@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.discovery.check.held_out import held_out_gap, mean_by_stretch
+from microbot_ros.discovery.check.held_out import HeldOut, hold_out, mean_by_stretch
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.hypotheses import add_effects, fit_first_order
 from microbot_ros.discovery.next_experiment import next_experiment
@@ -17,6 +17,11 @@ from microbot_ros.discovery.search import contribution
 from microbot_ros.estimation.likelihood.model_fit import fit_sessions
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.physics.vectors import as_vectors
+
+
+def held_out_gap(fit, *rest):
+    """Return the gap over the noise of the `fit` itself."""
+    return hold_out(fit, *rest).gap(fit)
 
 
 class Start:
@@ -50,6 +55,24 @@ def test_gap_is_the_distance_that_the_drift_carries(drifting):
     assert 0 < gap.closed.low < gap.closed.value < gap.closed.high < 2 * gap.closed.value
     diffusion = drifting.fit(truth).session_fits[0].diffusion
     assert gap.floor == pytest.approx(np.sqrt(2 * diffusion + 2 * 0.1e-6**2), rel=0.1)
+
+
+@pytest.mark.parametrize(('after', 'learned', 'worth'), [
+    (1.5, 1.0, True), (1.005, 1.0, False), (1.0, 1.5, False), (1.1, None, True),
+    (1.005, None, False), (0.5, None, False)])
+def test_what_foretells_nothing_is_not_worth_explaining(drifting, after, learned, worth):
+    """A hundredth of the squared noise floor, of what a term closes or of what is left."""
+    fit = drifting.current
+    squared = held_out_gap(fit, drifting.sessions, ()).floor ** 2
+    squares = {'before': 2.0, 'after': after} | ({} if learned is None else {'learned': learned})
+    held = HeldOut(1.0, {name: np.full(40, one * squared) for name, one in squares.items()},
+                   np.arange(40) // 2)
+    assert held.worth_explaining(fit) == worth
+
+
+def test_nothing_held_out_leaves_the_verdict(drifting):
+    empty = HeldOut(1.0, dict.fromkeys(('before', 'after'), np.empty(0)), np.empty(0))
+    assert empty.worth_explaining(drifting.current)
 
 
 def test_what_is_selected_in_each_block_is_what_is_judged(drifting):

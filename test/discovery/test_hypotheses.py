@@ -11,6 +11,7 @@ from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.hypotheses import (
     Candidate,
     Slot,
+    _exchange,
     consider,
     fit_first_order,
     joint_log_bayes_factor,
@@ -114,5 +115,17 @@ def test_a_prior_that_is_off_by_three_hardly_matters(drifting):
 def test_the_search_ends_where_models_repeat(drifting, monkeypatch):
     """An exchange that is always proposed ends the search instead of going round."""
     other = fit_first_order(drifting).model.with_effect(UniformDrift(1e-7, 0.0))
-    monkeypatch.setattr('microbot_ros.discovery.hypotheses._exchange', lambda _: other)
+    monkeypatch.setattr('microbot_ros.discovery.hypotheses._exchange', lambda *_: other)
     assert consider(drifting).names == ('uniform_drift',)
+
+
+def test_effects_are_not_exchanged_back(drifting):
+    """Two that are each likelier than the other may both be there."""
+    fit = fit_first_order(drifting)
+    one, other = (Candidate(fit_candidate(fit, name), evidence) for name, evidence in (
+        ('uniform_drift', 20.0), ('linear_flow', 30.0)))
+    slot = Slot(fit, one, (other,))
+    assert _exchange([slot], [('uniform_drift',)]) is other.found.fit.model
+    assert _exchange([slot], [('linear_flow',), ('uniform_drift',)]) is None
+    unlikely = Slot(fit, replace(one, evidence=0.0), ())
+    assert _exchange([unlikely], [()]) is fit.model

@@ -97,7 +97,7 @@ def test_the_filter_without_heading_noise_is_the_plain_one():
     sensitivity, retention = np.zeros((39, 2), complex), np.zeros((39, 2))
     plain = whiten_columns(times, pieces, columns, 0.05)
     noisy = whiten_with_heading(times, pieces, columns, 0.05, 0.05, 0.3, sensitivity, retention,
-                                np.zeros((40, 2), complex))
+                                np.zeros((40, 2), complex), 0.0, retention, sensitivity)
     assert noisy[0] == pytest.approx(plain[0])
     assert noisy[1:] == pytest.approx(plain[1:])
 
@@ -106,18 +106,21 @@ def test_the_filter_without_heading_noise_is_the_plain_one():
 def test_the_filter_whitens_heading_noise(size):
     """Against the covariance of an Ornstein–Uhlenbeck heading, integrated in closed form.
 
-    Also where readings scatter along directions of their own, by `size`.
+    Also where, by `size`, readings scatter along directions of their own, the direction deviates
+    beside the speed, and steps are uneven in any direction and along the way.
     """
     count, h, rate, ratio, noise_ratio, speed = 30, 0.05, 4.0, 3.0, 0.02, 0.7 - 0.4j
     times = h * np.arange(count)
     retention = np.full((count - 1, 1), np.exp(-rate * h))
     sensitivity = np.full((count - 1, 1), speed * (1 - np.exp(-rate * h)) / rate)
     swing = size * np.exp(0.3j * np.arange(count))[:, None]
+    wander, kick = size, size * h * (1 + np.arange(count - 1) % 5)[:, None]
+    stride = 0.1 * size * np.exp(0.4j * np.arange(count - 1))[:, None]
 
     def whiten(columns):
         pieces = np.ones((count, 1), int)
         return whiten_with_heading(times, pieces, columns, noise_ratio, noise_ratio, ratio,
-                                   sensitivity, retention, swing)[0]
+                                   sensitivity, retention, swing, wander, kick, stride)[0]
 
     # ∫∫ (D_r/κ) e^{−κ|s−u|} from 0 to t and t': the covariance of the integrated heading.
     t, u = np.minimum(times[:, None], times), np.maximum(times[:, None], times)
@@ -125,7 +128,12 @@ def test_the_filter_whitens_heading_noise(size):
         2 * t / rate + (np.exp(-rate * t) + np.exp(-rate * u) - 1
                         - np.exp(-rate * (u - t))) / rate**2)
     v = np.array([speed.real, speed.imag])
-    covariance = np.kron(np.outer(v, v), path) + np.kron(np.eye(2), brownian(times, noise_ratio))
+    across = np.array([-speed.imag, speed.real])
+    walked = np.tri(count, count - 1, -1)
+    covariance = (np.kron(np.outer(v, v) + wander * np.outer(across, across), path)
+                  + np.kron(np.eye(2), brownian(times, noise_ratio) + walked * kick.T @ walked.T))
+    steps = np.concatenate([walked * stride.real.T, walked * stride.imag.T])
+    covariance += steps @ steps.T
     along = np.concatenate([np.diag(swing.real[:, 0]), np.diag(swing.imag[:, 0])])
     covariance += along @ along.T
     units = np.concatenate([np.eye(count), 1j * np.eye(count)], axis=1)[:, None, :]
@@ -146,7 +154,8 @@ def test_products_are_those_of_what_is_white():
     retention = rng.uniform(0, 1, (39, 3))
     retention[:, 1] = retention[:, 0]
     swing = 0.2 * (rng.normal(size=(40, 3)) + 1j * rng.normal(size=(40, 3)))
-    noise = 0.05, 0.3, sensitivity, retention, swing
+    kick, stride = rng.uniform(0, 0.1, (39, 3)), 0.1 * rng.normal(size=(39, 3)) * (1 + 2j)
+    noise = 0.05, 0.3, sensitivity, retention, swing, 0.4, kick, stride
     columns = np.stack([z - offset[:, None], *(
         np.broadcast_to(part * along[:, None], z.shape) for part in (1, 1j))], axis=-1)
     white, log_det, used = whiten_with_heading(times, pieces, columns, 0.05, *noise)
@@ -171,7 +180,8 @@ def test_a_heading_that_the_field_holds_is_one_that_hardly_turns():
     for ratios in ((0.05, 0.05), (0.05, 0.08)):
         still, hardly = (
             whiten_with_heading(times, pieces, columns, *ratios, 2.0, sensitivity, retention,
-                                np.zeros((60, 2), complex))
+                                np.zeros((60, 2), complex), 0.0, np.zeros((59, 2)),
+                                np.zeros((59, 2), complex))
             for retention in (held, np.maximum(held, 1e-10)))
         assert still[0] == pytest.approx(hardly[0], rel=1e-9)
         assert still[1:] == pytest.approx(hardly[1:], rel=1e-9)

@@ -14,17 +14,21 @@ from microbot_ros.estimation.likelihood.model_fit import fit_fluctuation, unstea
 RATE, SECONDS = 25.0, 80.0
 
 
-def rolled(seed, strength, swing, correlation=0.5, diffusion=0.3e-12, reading=0.1e-6):
+def rolled(seed, strength, swing, correlation=0.5, diffusion=0.3e-12, reading=0.1e-6,
+           late=0.0):
     """Return a session of one roller at 11.3 Hz whose direction turns in steps.
 
     Its speed has an Ornstein–Uhlenbeck deviation of `strength` with that `correlation` time [s],
-    and it swings by `swing` [m] (RMS) along its way at each frame.
+    and it swings by `swing` [m] (RMS) along its way at each frame. Commands act earlier or later
+    by `late` [s] (standard deviation).
     """
     rng = np.random.default_rng(seed)
     t = np.arange(int(SECONDS * RATE)) / RATE
     begins = np.arange(0.0, SECONDS, 2.0)
     turned = rng.uniform(-np.pi, np.pi, len(begins))
-    direction = np.exp(1j * turned[np.searchsorted(begins, t, 'right') - 1])
+    acts = begins + late * np.append(0, np.random.default_rng(seed).normal(size=len(begins) - 1))
+    within = t[:, None] + (np.arange(100) + 0.5) / 100 / RATE
+    direction = np.exp(1j * turned[np.searchsorted(acts, within, 'right') - 1]).mean(axis=1)
     kept = np.exp(-1 / (RATE * correlation))
     deviation = np.empty(len(t))
     deviation[0] = rng.normal()
@@ -79,3 +83,14 @@ def test_few_rows_that_stand_out_are_cut(restless):
     rows[::5] = True
     assert replace(session).cut_at(rows) is session or (
         session.cut_at(rows).pieces == session.pieces).all()
+
+
+def test_commands_that_act_early_or_late_are_found():
+    session = check_sessions([rolled(3, 0.1, 0.5e-6, late=0.03)])[0]
+    known = fit_first_order(session)
+    restless = unsteady(session, known, known)
+    assert restless[0].speeds_fluctuate
+    found = fit_first_order(restless).session_fits[0]
+    assert found.jitter == pytest.approx(0.03, rel=0.35)
+    assert found.fluctuation == pytest.approx(0.1, rel=0.4)
+    assert found.swing == pytest.approx(0.5e-6, rel=0.3)

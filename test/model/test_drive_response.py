@@ -1,5 +1,6 @@
 """The drive response on known shapes of rollers and on a real recording of one."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -89,3 +90,10 @@ def test_a_recorded_roller_is_described(recordings):
     assert 0.3 < effect.cut_in < 3.0
     ratio = response(effect, np.array([6.0])) / response(effect, np.array([13.0]))
     assert 1.3 < ratio[0] < 1.7
+
+
+def test_a_particle_follows_before_it_loses_the_field():
+    crossed = DriveResponse(cut_in=15.0, slip=0.5, step_out=2.0)
+    context = SimpleNamespace(frequency=FREQUENCY)
+    np.testing.assert_array_equal(
+        crossed.speed_factor(context), replace(crossed, cut_in=2.0).speed_factor(context))

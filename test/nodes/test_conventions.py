@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -128,3 +130,14 @@ def test_recorded_definitions_are_those_of_the_distribution(ros: Any) -> None:
         info, = probe.get_publishers_info_by_topic('/hashed')
         assert str(info.topic_type_hash) == typestore().hash_rihs01(name), name
         probe.destroy_publisher(publisher)
+
+
+@pytest.mark.parametrize('name', ['camera', 'cockpit', 'coil_driver', 'player', 'recorder'])
+def test_nodes_that_compile_nothing_import_no_compiler(name: str) -> None:
+    """Numba, SciPy and the tracker cost 0.3 s of processor time at the start of a process."""
+    heavy = "{'numba', 'scipy', 'microbot_ros.tracking.tracker'}"
+    done = subprocess.run([sys.executable, '-c', (
+        f'import sys, microbot_ros.nodes.process, microbot_ros.nodes.{name}\n'
+        f'found = {heavy} & set(sys.modules); sys.exit(str(found) if found else 0)')],
+        capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -83,8 +83,9 @@ def test_the_field_turns_about_the_axis_as_fast_as_told(graph: Any, emulator: An
     t, field = t[during], field[during]
     assert np.linalg.norm(field, axis=1) == pytest.approx(B, rel=0.01)
     assert np.abs(field[:, 1]).max() < 0.01 * B
-    phase = np.unwrap(np.arctan2(-field[:, 2], field[:, 0]))
-    assert np.polyfit(t, phase, 1)[0] / math.tau == pytest.approx(HERTZ, rel=2e-3)
+    # What is left beside the wanted turns: a busy machine may leave out more than half a turn.
+    beside = np.unwrap(np.arctan2(-field[:, 2], field[:, 0]) - math.tau * HERTZ * t)
+    assert np.polyfit(t, beside, 1)[0] / math.tau == pytest.approx(0.0, abs=2e-3 * HERTZ)
 
 
 def test_when_the_rotation_ends_the_field_stands(graph: Any, emulator: Any) -> None:

@@ -103,7 +103,7 @@ export class View {
     const room = [(size[0] - clientWidth) / 2, (size[1] - clientHeight) / 2].map((one) => Math.max(one, 0));
     this.pan = this.pan.map((one, axis) => Math.min(Math.max(one, -room[axis]), room[axis]));
     Object.assign(this.frame.style, { width: `${size[0]}px`, height: `${size[1]}px`,
-      left: `${(clientWidth - size[0]) / 2 + this.pan[0]}px`, top: `${Math.min(clientHeight - size[1], 0) / 2 + this.pan[1]}px` });
+      left: `${(clientWidth - size[0]) / 2 + this.pan[0]}px`, top: `${(clientHeight - size[1]) / 2 + this.pan[1]}px` });
     this.frame.parentElement.style.setProperty('--shown', `${Math.min(size[1], clientHeight)}px`);
     this.changed?.();
   }

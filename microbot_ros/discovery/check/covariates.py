@@ -9,15 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from microbot_ros.estimation.likelihood.joint import SessionFit
+from microbot_ros.estimation.likelihood.prepared_session import HELD
 from microbot_ros.model.effect_context import CLOSEST
 
 HARMONICS = 4
-RELAXATION = (0.1, 0.3, 1.0, 3.0)
+RELAXATION = (HELD, 0.3, 1.0, 3.0)
 """Times since a switch [s] over which something may relax."""
 
-HELD, FEWEST = RELAXATION[0], 3
-"""Seconds for which a command has to be held before a change of it is a switch: the shortest over
-which something may relax; and switches that a recording needs for what is common to all."""
+FEWEST = 3
+"""Switches that a recording needs for what is common to all."""
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ every fit begins anew from the frames that it may see.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import stdtrit
 
 from microbot_ros.discovery.hypotheses import add_effects, fit_first_order
 from microbot_ros.discovery.processes import Run, serially
-from microbot_ros.discovery.result import HORIZON, UNKNOWN, Estimate, Gap
+from microbot_ros.discovery.result import HORIZON, UNKNOWN, WORTH, Estimate, Gap
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood.joint import SessionFit
 from microbot_ros.estimation.likelihood.model_fit import (
@@ -40,19 +40,54 @@ slowly are less independent of each other.
 
 
 
+@dataclass(frozen=True)
+class HeldOut:
+    """Squared errors (R,) [m²] of open-loop predictions over a `horizon` [s], of one axis.
 
-# The gap in prediction --------------------------------------------------------------------------
+    `squares`: of each model, over the same displacements; `stretch` (R,): the stretch of time of
+    each.
+    """
 
-def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], names: Collection[str],
-                 truth: Model | None = None, run: Run = serially,
-                 relearn: Callable[[ModelFit], ModelFit] | None = None) -> Gap:
-    """Return the gap of open-loop prediction over a horizon, each block from a fit to all others.
+    horizon: float
+    squares: dict[str, np.ndarray]
+    stretch: np.ndarray
 
-    Before: of the first-order model. After: of the search, made anew on the other blocks of
+    def gap(self, fit: ModelFit) -> Gap:
+        """Return the gap over the noise of a `fit`."""
+        floor = _floor(fit, self.horizon)
+        excess = {name: _excess(square, floor) for name, square in self.squares.items()}
+        return Gap(self.horizon, excess['before'], excess['after'], floor,
+                   excess.get('truth', np.nan), excess.get('learned', np.nan),
+                   self.closed('before', 'after'), self.closed('before', 'learned'))
+
+    def closed(self, one: str, other: str) -> Estimate:
+        """Return the squared error of `one` model less that of an `other`."""
+        if other not in self.squares:
+            return UNKNOWN
+        return mean_by_stretch(self.squares[one] - self.squares[other], self.stretch)
+
+    def worth_explaining(self, fit: ModelFit) -> bool:
+        """Return whether something beside the effects of a `fit` is foretold, or could be.
+
+        A term that was learned has to lower the squared error; without one, predictions have to
+        err by more than the noise of the fit. Each by WORTH of the noise floor. Also where nothing
+        could be held out.
+        """
+        floor = _floor(fit, self.horizon)
+        squares = self.squares
+        better = squares['after'] - squares.get('learned', floor**2)
+        return not better.size or bool(better.mean() > (WORTH * floor) ** 2)
+
+
+def hold_out(fit: ModelFit, sessions: Sequence[PreparedSession], names: Collection[str],
+             truth: Model | None = None, run: Run = serially,
+             relearn: Callable[[ModelFit], ModelFit] | None = None) -> HeldOut:
+    """Predict each block of `sessions` open loop over a horizon, from a fit to all other blocks.
+
+    Before: by the first-order model. After: by the search, made anew on the other blocks of
     prepared `sessions`. Effects are selected there, too, among `names`: those that are worth a
-    look on all rows. The gap is the excess of one axis over what diffusion and localisation alone
-    give; both are those of `fit`, the result of the search on all rows, and so is the part of the
-    sessions that is judged: no model foretells a heading that chance has scattered. The effects of
+    look on all rows. The part of the sessions that is judged is that of `fit`, the result of the
+    search on all rows: no model foretells a heading that chance has scattered. The effects of
     `truth`, where it is known, are not fitted. What depends on position is taken where the
     particles were. `relearn` adds terms to a fit, which are selected and learned from what that
     leaves, beside the first-order model where `fit` has no effects. Blocks are short: no fit tells
@@ -80,13 +115,7 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], names: Coll
 
     blocks = list(run(errors_in, range(BLOCKS)))
     stretch, *squares = np.concatenate([rows for _, rows in blocks]).T
-    known = dict(zip(blocks[0][0], squares, strict=True))
-    floor = _floor(fit, horizon)
-    excess = {name: _excess(square, floor) for name, square in known.items()}
-    closed = {name: mean_by_stretch(known['before'] - square, stretch)
-              for name, square in known.items()}
-    return Gap(horizon, excess['before'], excess['after'], floor, excess.get('truth', np.nan),
-               excess.get('learned', np.nan), closed['after'], closed.get('learned', UNKNOWN))
+    return HeldOut(horizon, dict(zip(blocks[0][0], squares, strict=True)), stretch)
 
 
 def _carried_over(model: Model, known: SessionFit, session: PreparedSession) -> SessionFit:
@@ -186,7 +215,8 @@ def _known(learned: SessionFit, here: SessionFit, horizon: float) -> np.ndarray:
     step = np.diff(here.session.times)[:, None]
     own = np.abs(np.diff(here.expected.along, axis=0)) / step
     travelled = horizon * np.sqrt((own**2).mean(axis=0))
-    known: np.ndarray = std * travelled < 0.5 * np.sqrt(2 * learned.diffusion * horizon)
+    floor = np.sqrt(2 * learned.diffusion * horizon + learned.unsteady_motion(horizon))
+    known: np.ndarray = std * travelled < 0.5 * floor
     return known
 
 

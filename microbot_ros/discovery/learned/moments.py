@@ -133,6 +133,9 @@ def whiten_track(p: SessionFit, n: int, moved: np.ndarray) -> np.ndarray:
     if noise.sensitivity is not None and noise.retention is not None:
         noise = replace(noise, sensitivity=np.ascontiguousarray(noise.sensitivity[:, one]),
                         retention=np.ascontiguousarray(noise.retention[:, one]))
+    if noise.way is not None and noise.change is not None and noise.stride is not None:
+        noise = replace(noise, way=noise.way[:, one], change=noise.change[:, one],
+                        stride=noise.stride[:, one])
     white: np.ndarray = noise.apply(alone, np.ascontiguousarray(moved[:, None]))[0][:, 0]
     return white
 

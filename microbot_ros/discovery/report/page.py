@@ -91,7 +91,9 @@ def headline(found: Discovery) -> str:
     if found.verdict == 'consistent':
         return ('Nothing is missing: the first-order model explains these data down to the noise.'
                 + (f' There is a hint of {listed(rest)}, too weak to be established.'
-                   if rest else ''))
+                   if rest else '')
+                + (f' What is left is no help in predicting, and shows against {_against(found)}.'
+                   if found.unexplained else ''))
     return ('Something is there that no effect of the library explains. It shows against '
             f'{_against(found)}.'
             + (f' Of what the library has, {listed(rest)} can only stand in for it.'

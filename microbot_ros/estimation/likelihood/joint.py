@@ -54,10 +54,16 @@ class Whitening:
     `noise_ratio` [s] is σ²/D less a third of the exposure, so that it may be negative. Where
     headings keep what noise did to them from frame to frame, `diffusion_ratio` is D_r/D
     [rad²/m²], with `sensitivity` and `retention` (T−1, N) of `kernels.whiten_with_heading`.
-    Where speeds fluctuate, the same three describe the relative deviation of each speed, which
-    has the correlation time `fluctuation` [s]; None: speeds are steady. Rollers swing forth and
-    back with every turn: `swing_ratio` [s] is the variance over D by which positions scatter for
-    that along the `way` (T, N) of each, complex of length 1 or 0. `stretch`: how much larger than
+    Where velocities fluctuate, the same three describe the relative deviation of each speed, which
+    has the correlation time `fluctuation` [s]; None: velocities are steady. `wander` is the
+    variance of the deviation of its direction [rad²], with the same correlation time, over that
+    of its speed. Rollers swing forth and back with every turn: `swing_ratio` [s] is the variance
+    over D by which positions scatter for that along the `way` (T, N) of each, complex of length 1
+    or 0. Commands act earlier or later than logged, and bodies turn over before they follow:
+    `jitter_ratio` [s³/m²] is the variance of that time over 2D, and `change` (T−1, N) [m²/s²] the
+    square of the change of the velocity around each interval. Steps along the way are uneven:
+    `uneven_ratio` [s/m] is the variance of a distance over D, for each metre of it; `stride`
+    (T−1, N) [√m], complex, is the root of each step, along it. `stretch`: how much larger than
     they are lengths look along x and along y.
     """
 
@@ -69,6 +75,11 @@ class Whitening:
     fluctuation: float | None = None
     swing_ratio: float = 0.0
     way: np.ndarray | None = None
+    wander: float = 0.0
+    jitter_ratio: float = 0.0
+    change: np.ndarray | None = None
+    uneven_ratio: float = 0.0
+    stride: np.ndarray | None = None
 
     @property
     def is_plain(self) -> bool:
@@ -94,7 +105,8 @@ class Whitening:
             white, log_det, count = whiten_with_heading(
                 *rows, columns, ratios[0], ratios[1], self.diffusion_ratio,
                 self._unstretched(self.sensitivity), self.retention,
-                self._unstretched(self._swing(session)))
+                self._unstretched(self._swing(session)), self.wander,
+                self._kick(self.retention), self._unstretched(self._stride(self.sensitivity)))
         return white, log_det + count * math.log(math.prod(self.stretch)), count
 
     def products(self, session: PreparedSession,
@@ -114,13 +126,24 @@ class Whitening:
             return whitened_products(*columns, self.noise_ratio)
         return whitened_products_with_heading(
             *columns, self.noise_ratio, self.diffusion_ratio, self.sensitivity, self.retention,
-            self._swing(session))
+            self._swing(session), self.wander, self._kick(self.retention),
+            self._stride(self.sensitivity))
 
     def _swing(self, session: PreparedSession) -> np.ndarray:
         """How readings scatter along the way of each particle (T, N)."""
         if self.way is None:
             return np.zeros(session.pieces.shape, complex)
         return math.sqrt(self.swing_ratio) * self.way
+
+    def _kick(self, like: np.ndarray | None) -> np.ndarray:
+        """Variance (T−1, N) [s] by changes of the command, over D; an array `like` that."""
+        return np.zeros_like(like) if self.change is None else self.jitter_ratio * self.change
+
+    def _stride(self, like: np.ndarray) -> np.ndarray:
+        """How uneven the step of each particle is along its way (T−1, N)."""
+        if self.stride is None:
+            return np.zeros_like(like)
+        return math.sqrt(self.uneven_ratio) * self.stride
 
     def _unstretched(self, vectors: np.ndarray) -> np.ndarray:
         """Complex `vectors` as they are, not as they look."""
@@ -206,6 +229,25 @@ class SessionFit:
             self.whitening.diffusion_ratio * self.diffusion * time)
 
     @property
+    def wander(self) -> float:
+        """Standard deviation [rad] of the direction of each velocity about its mean."""
+        return self.fluctuation * math.sqrt(self.whitening.wander)
+
+    @property
+    def jitter(self) -> float:
+        """RMS displacement by a change of the command, over the change of velocity [s]."""
+        return math.sqrt(2 * self.whitening.jitter_ratio * self.diffusion)
+
+    @property
+    def localisation(self) -> float:
+        """Localisation error σ [m] per axis, less blur."""
+        return math.sqrt(max(self.whitening.noise_ratio, 0.0) * self.diffusion)
+
+    def unevenness(self, distance: float) -> float:
+        """Standard deviation [m] of a `distance` [m] along the way by uneven steps."""
+        return math.sqrt(self.whitening.uneven_ratio * self.diffusion * distance)
+
+    @property
     def moved(self) -> np.ndarray:
         """How far v moves each particle (T − 1, N) [m] from frame to frame, complex."""
         return np.diff(self.expected.along * self.velocity_phasor.real
@@ -218,8 +260,18 @@ class SessionFit:
             return 0.0
         speed = np.abs(self.moved) / np.diff(self.session.times)[:, None]
         memory = 2 * time * (seconds - time * (1 - math.exp(-seconds / time)))
-        walked = self.fluctuation**2 * float((speed**2).mean()) * memory
-        return walked / 2 + self.swing**2
+        walked = (self.fluctuation**2 + self.wander**2) * float((speed**2).mean()) * memory
+        frames = max(round(seconds / self.session.interval), 1)
+        return walked / 2 + self.swing**2 + frames * self._steps()
+
+    def _steps(self) -> float:
+        """Mean square [m²] per axis that uneven steps and late commands add in an interval."""
+        noise = self.whitening
+        if noise.change is None or noise.stride is None:
+            return 0.0
+        return self.diffusion * float(
+            noise.jitter_ratio * noise.change.mean()
+            + noise.uneven_ratio * (np.abs(noise.stride) ** 2).mean() / 2)
 
     @property
     def swing(self) -> float:

@@ -287,32 +287,50 @@ NEGLIGIBLE = 1e-12
 
 
 @numba.njit(cache=True)
-def _ahead(covariance, h, side, spread, mixed, turned, b, q):  # type: ignore[no-untyped-def]
-    """The covariance of place and heading (xx, xy, yy, xa, ya, aa) an interval h later.
+def _ahead(covariance, h, noise, wander, kick, stride, b, q):  # type: ignore[no-untyped-def]
+    """The covariance of place and deviations an interval h later.
 
-    `b` and `q`: sensitivity and retention; the rest as `_heading_noise` has it.
+    `covariance` is (xx, xy, yy, xa, ya, aa, xb, yb, ab, bb): place (x, y), the deviation a that
+    acts along the sensitivity `b`, and the deviation b that acts across it. `q`: retention of
+    both; `noise` of a as `_heading_noise` has it, that of b is `wander` times as large; `kick`:
+    the variance of what moves the place besides; `stride` (complex): the standard deviation and
+    direction of what moves it along one way.
     """
-    xx, xy, yy, xa, ya, aa = covariance
+    xx, xy, yy, xa, ya, aa, xb, yb, ab, bb = covariance
+    side, spread, mixed, turned = noise
+    walk = 2 * h + kick
+    if stride != 0:
+        xx += stride.real * stride.real
+        xy += stride.real * stride.imag
+        yy += stride.imag * stride.imag
     if aa == 0 and turned == 0:  # the field holds the heading, as it mostly does
-        return xx + 2 * h, xy, yy + 2 * h, 0.0, 0.0, 0.0
+        return xx + walk, xy, yy + walk, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     u, v = b.real, b.imag
     i, j = u * side, v * side
-    xx += 2 * u * xa + u * u * aa + spread * i * i + 2 * h
-    yy += 2 * v * ya + v * v * aa + spread * j * j + 2 * h
+    xx += 2 * u * xa + u * u * aa + spread * i * i + walk
+    yy += 2 * v * ya + v * v * aa + spread * j * j + walk
     xy += u * ya + v * xa + u * v * aa + spread * i * j
-    xa = q * (xa + u * aa) + mixed * i
-    ya = q * (ya + v * aa) + mixed * j
-    return xx, xy, yy, xa, ya, q * q * aa + turned
+    xa, ya = xa + u * aa, ya + v * aa
+    if wander > 0:
+        xx += 2 * v * (-xb - u * ab) + v * v * bb + wander * spread * j * j
+        yy += 2 * u * (yb + v * ab) + u * u * bb + wander * spread * i * i
+        xy += u * xb - v * yb + (u * u - v * v) * ab - u * v * bb - wander * spread * i * j
+        xa, ya = xa - v * ab, ya + u * ab
+        xb, yb = q * (xb + u * ab - v * bb), q * (yb + v * ab + u * bb)
+        xb -= wander * mixed * j
+        yb += wander * mixed * i
+    return (xx, xy, yy, q * xa + mixed * i, q * ya + mixed * j, q * q * aa + turned,
+            xb, yb, q * q * ab, q * q * bb + wander * turned)
 
 
 @numba.njit(cache=True)
 def _seen(covariance, ratio_x, ratio_y, swing):  # type: ignore[no-untyped-def]
-    """The covariance after a reading, the gains (xx, xy, yx, yy, ax, ay), how to make the
+    """The covariance after a reading, the gains (xx, xy, yx, yy, ax, ay, bx, by), how to make the
     innovation white (scale of x, lean, scale of y), and the determinant of its covariance.
 
     A reading has the variances `ratio_x` and `ratio_y`, and that of the complex `swing` along it.
     """
-    xx, xy, yy, xa, ya, aa = covariance
+    xx, xy, yy, xa, ya, aa, xb, yb, ab, bb = covariance
     if swing != 0:
         mixed = swing.real * swing.imag
         ratio_x, ratio_y = ratio_x + swing.real * swing.real, ratio_y + swing.imag * swing.imag
@@ -321,7 +339,8 @@ def _seen(covariance, ratio_x, ratio_y, swing):  # type: ignore[no-untyped-def]
     sx, sy, sxy = xx + ratio_x, yy + ratio_y, xy + mixed
     if aa == 0 and abs(sxy) < NEGLIGIBLE * sx:  # before it is a number too small to be fast
         gx, gy = xx / sx, yy / sy
-        return ((ratio_x * gx, 0.0, ratio_y * gy, 0.0, 0.0, 0.0), (gx, 0.0, 0.0, gy, 0.0, 0.0),
+        return ((ratio_x * gx, 0.0, ratio_y * gy, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+                (gx, 0.0, 0.0, gy, 0.0, 0.0, 0.0, 0.0),
                 (1 / math.sqrt(sx), 0.0, 1 / math.sqrt(sy)), sx * sy)
     det = sx * sy - sxy * sxy
     over = 1 / det
@@ -332,20 +351,34 @@ def _seen(covariance, ratio_x, ratio_y, swing):  # type: ignore[no-untyped-def]
              gyx * mixed + gyy * ratio_y,
              xa - gxx * xa - gxy * ya, ya - gyx * xa - gyy * ya, aa - gax * xa - gay * ya)
     white = 1 / math.sqrt(sx), sxy / sx, math.sqrt(sx * over)
-    return after, (gxx, gxy, gyx, gyy, gax, gay), white, det
+    if bb == 0:
+        return ((*after, 0.0, 0.0, 0.0, 0.0), (gxx, gxy, gyx, gyy, gax, gay, 0.0, 0.0), white,
+                det)
+    gbx, gby = (xb * sy - yb * sxy) * over, (yb * sx - xb * sxy) * over
+    across = (xb - gxx * xb - gxy * yb, yb - gyx * xb - gyy * yb,
+              ab - gax * xb - gay * yb, bb - gbx * xb - gby * yb)
+    return (*after, *across), (gxx, gxy, gyx, gyy, gax, gay, gbx, gby), white, det
 
 
 @numba.njit(cache=True)
-def _begun(ratio_x, ratio_y, swing, turned):  # type: ignore[no-untyped-def]
-    """The covariance after the first reading of a piece; `turned`: the variance of the heading."""
+def _begun(ratio_x, ratio_y, swing, turned, wander):  # type: ignore[no-untyped-def]
+    """The covariance after the first reading of a piece.
+
+    `turned`: the variance of the deviation a; that of b is `wander` times as large.
+    """
     return (ratio_x + swing.real * swing.real, swing.real * swing.imag,
-            ratio_y + swing.imag * swing.imag, 0.0, 0.0, turned)
+            ratio_y + swing.imag * swing.imag, 0.0, 0.0, turned, 0.0, 0.0, 0.0, wander * turned)
 
 
 @numba.njit(cache=True)
 def _carry(  # type: ignore[no-untyped-def]
-        covariance, place, turn, k, n, times, noises, diffusion_ratio, sensitivity, retention):
-    """The covariance at row k of track n, an interval later; `place` and `turn` (M,) in place."""
+        covariance, place, turn, k, n, times, noises, diffusion_ratio, sensitivity, retention,
+        wander, kick, stride):
+    """The covariance at row k of track n, an interval later.
+
+    `place` and `turn` (M,) are changed: `turn` has the deviation along the sensitivity as its
+    real part, that across it as its imaginary part.
+    """
     b, q = sensitivity[k - 1, n], retention[k - 1, n]
     h = times[k] - times[k - 1]
     noise = (noises[k - 1, 0], noises[k - 1, 1], noises[k - 1, 2], noises[k - 1, 3])
@@ -354,17 +387,17 @@ def _carry(  # type: ignore[no-untyped-def]
     for m in range(len(place)):
         place[m] += b * turn[m]
         turn[m] *= q
-    return _ahead(covariance, h, *noise, b, q)
+    return _ahead(covariance, h, noise, wander, kick[k - 1, n], stride[k - 1, n], b, q)
 
 
 @numba.njit(cache=True)
 def _taken(place, turn, m, new, gains):  # type: ignore[no-untyped-def]
     """Correct `place` and `turn` of column m by its `new` value; the difference along x and y."""
-    gxx, gxy, gyx, gyy, gax, gay = gains
+    gxx, gxy, gyx, gyy, gax, gay, gbx, gby = gains
     step = new - place[m]
     i, j = step.real, step.imag
     place[m] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
-    turn[m] += gax * i + gay * j
+    turn[m] += complex(gax * i + gay * j, gbx * i + gby * j)
     return i, j
 
 
@@ -381,41 +414,45 @@ def _logged(log_det, product):  # type: ignore[no-untyped-def]
 
 @numba.njit([(*_ROWS, given(types.complex128, 3, 'C'), types.float64, types.float64,
              types.float64, given(types.complex128, 2, 'C'), given(types.float64, 2, 'C'),
+             given(types.complex128, 2, 'C'), types.float64, given(types.float64, 2, 'C'),
              given(types.complex128, 2, 'C'))],
             cache=True)
 def whiten_with_heading(  # type: ignore[no-untyped-def]
         times, pieces, columns, ratio_x, ratio_y, diffusion_ratio, sensitivity, retention,
-        swing):
+        swing, wander, kick, stride):
     """White increments of complex `columns` (T, N, M) where headings are noisy as well.
 
     `times` and `pieces` as in `whiten_columns`; `ratio_x`, `ratio_y`: the `noise_ratio` [s] of
     either axis; `diffusion_ratio` = D_r/D [rad²/m²]; `sensitivity` (T−1, N) complex: displacement
     over a frame interval per radian at its start; `retention` (T−1, N): the part of a deviation
     left at its end; `swing` (T, N) complex, in square roots of `ratio_x`: the standard deviation
-    and the direction in which readings scatter besides. A Kalman filter over place (x, y) and
-    heading (a), whose covariance is kept as six scalars; real and imaginary parts of the result
-    are independent. Also ½ log det of the innovations over both axes, and rows used.
+    and the direction in which readings scatter besides; `wander`: variance of a deviation that
+    acts across the sensitivity, over that of the one along it; `kick` (T−1, N) [s]: variance
+    that an interval adds to either axis besides 2h, in units of D; `stride` (T−1, N) complex, as
+    `swing`: what it adds along one way. A Kalman filter over place (x, y) and both deviations
+    (a, b), whose covariance is kept as ten scalars; real and imaginary parts of the result are
+    independent. Also ½ log det of the innovations over both axes, and rows used.
     """
     T, N, M = columns.shape
     out = np.zeros((T, N, M), np.complex128)
     log_det, used, product = 0.0, 0, 1.0
     noises = _heading_noises(times, diffusion_ratio, retention)
-    place, turn = np.zeros(M, np.complex128), np.zeros(M)
+    place, turn = np.zeros(M, np.complex128), np.zeros(M, np.complex128)
     for n in range(N):
         piece = 0
-        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for k in range(T):
             if piece:
                 covariance = _carry(covariance, place, turn, k, n, times, noises,
-                                    diffusion_ratio, sensitivity, retention)
+                                    diffusion_ratio, sensitivity, retention, wander, kick, stride)
             if not pieces[k, n]:
                 continue
             if pieces[k, n] != piece:
                 piece = pieces[k, n]
                 covariance = _begun(ratio_x, ratio_y, swing[k, n], _stationary_variance(
-                    diffusion_ratio, times, retention, k, n))
+                    diffusion_ratio, times, retention, k, n), wander)
                 for m in range(M):
-                    place[m], turn[m] = columns[k, n, m], 0.0
+                    place[m], turn[m] = columns[k, n, m], 0j
                 continue
             covariance, gains, white, det = _seen(covariance, ratio_x, ratio_y, swing[k, n])
             scale_x, lean, scale_y = white
@@ -430,34 +467,35 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def whitened_products_with_heading(  # type: ignore[no-untyped-def]
         times, pieces, z, offset, along, noise_ratio, diffusion_ratio, sensitivity, retention,
-        swing):
+        swing, wander, kick, stride):
     """`whitened_products` where headings are noisy as well.
 
     `times`, `pieces`, `z`, `offset`, `along` and `noise_ratio` as there; `diffusion_ratio`,
-    `sensitivity`, `retention` and `swing` as in `whiten_with_heading`.
+    `sensitivity`, `retention`, `swing`, `wander`, `kick` and `stride` as
+    in `whiten_with_heading`.
     """
     T, N = z.shape
     products, log_det, used, product = np.zeros((N, 3, 3)), 0.0, 0, 1.0
     noises = _heading_noises(times, diffusion_ratio, retention)
-    place, turn = np.zeros(3, np.complex128), np.zeros(3)
+    place, turn = np.zeros(3, np.complex128), np.zeros(3, np.complex128)
     new, white_new = np.zeros(3, np.complex128), np.zeros(3, np.complex128)
     for n in range(N):
         o, a = min(n, offset.shape[1] - 1), min(n, along.shape[1] - 1)
         gram, piece = products[n], 0
-        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for k in range(T):
             if piece:
                 covariance = _carry(covariance, place, turn, k, n, times, noises,
-                                    diffusion_ratio, sensitivity, retention)
+                                    diffusion_ratio, sensitivity, retention, wander, kick, stride)
             if not pieces[k, n]:
                 continue
             new[0], new[1], new[2] = z[k, n] - offset[k, o], along[k, a], 1j * along[k, a]
             if pieces[k, n] != piece:
                 piece = pieces[k, n]
                 covariance = _begun(noise_ratio, noise_ratio, swing[k, n], _stationary_variance(
-                    diffusion_ratio, times, retention, k, n))
+                    diffusion_ratio, times, retention, k, n), wander)
                 for m in range(3):
-                    place[m], turn[m] = new[m], 0.0
+                    place[m], turn[m] = new[m], 0j
                 continue
             covariance, gains, white, det = _seen(
                 covariance, noise_ratio, noise_ratio, swing[k, n])
@@ -488,23 +526,24 @@ def filter_headings(  # type: ignore[no-untyped-def]
     T, N = left.shape
     out = np.zeros((T, N))
     noises = _heading_noises(times, diffusion_ratio, retention)
-    place, turn = np.zeros(1, np.complex128), np.zeros(1)
+    place, turn = np.zeros(1, np.complex128), np.zeros(1, np.complex128)
+    wander, kick, stride = 0.0, np.zeros_like(retention), np.zeros_like(sensitivity)
     for n in range(N):
         piece = 0
-        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for k in range(T):
             if piece:
                 covariance = _carry(covariance, place, turn, k, n, times, noises,
-                                    diffusion_ratio, sensitivity, retention)
+                                    diffusion_ratio, sensitivity, retention, wander, kick, stride)
             if not pieces[k, n]:
                 continue
             if pieces[k, n] != piece:
                 piece = pieces[k, n]
                 covariance = _begun(noise_ratio, noise_ratio, 0j, _stationary_variance(
-                    diffusion_ratio, times, retention, k, n))
-                place[0], turn[0] = left[k, n], 0.0
+                    diffusion_ratio, times, retention, k, n), wander)
+                place[0], turn[0] = left[k, n], 0j
                 continue
             covariance, gains, _, _ = _seen(covariance, noise_ratio, noise_ratio, 0j)
             _taken(place, turn, 0, left[k, n], gains)
-            out[k, n] = turn[0]
+            out[k, n] = turn[0].real
     return out

@@ -11,6 +11,7 @@ import numpy as np
 
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood.joint import (
+    LARGEST,
     SMALLEST,
     SessionFit,
     Whitening,
@@ -51,6 +52,13 @@ SHORTEST, LONGEST, PART = 2.0, 5.0, 0.05
 """Between what the correlation time of speeds is looked for: so many frame intervals, seconds [s],
 and no more than this part of the recording. What lasts longer is a trend, which has other names.
 """
+
+LEAST = 0.01
+"""Strength of a fluctuation that is none: a share of the speed, or of a frame interval [s]; and of
+the wander over it, or of a swing. A choice: with half or twice of it nothing changes by 0.1."""
+
+WIDEST = 1e9
+"""Largest over smallest variance of a kind of noise: far beyond what is found."""
 
 STARTS = 0.2, 2.0
 """Correlation times [s] from which it is looked for."""
@@ -324,7 +332,7 @@ def _fit_noise(model: Model, fit: SessionFit, near: bool) -> SessionFit:
 
 
 def fluctuating(fit: SessionFit, time: float) -> Whitening:
-    """The noise of a `fit` where each speed has a deviation of correlation time `time` [s]."""
+    """The noise of a `fit` where velocities have deviations of correlation time `time` [s]."""
     interval = np.diff(fit.session.times)[:, None]
     moved = fit.moved
     retention = np.exp(-interval / time)
@@ -332,10 +340,13 @@ def fluctuating(fit: SessionFit, time: float) -> Whitening:
     sensitivity = moved * (1 - retention) * time / interval
     length = np.abs(moved)
     way = np.where(length > MOVES, moved / np.maximum(length, MOVES), 0)
+    velocity = np.pad(moved / interval, ((1, 1), (0, 0)), mode='edge')
+    # A change within one interval shows in three, by a half, all and a half of it: 3/2 in all.
+    change = np.abs(velocity[2:] - velocity[:-2]) ** 2 / 1.5
     return replace(
         fit.whitening, fluctuation=time, sensitivity=np.ascontiguousarray(sensitivity),
         retention=np.ascontiguousarray(np.broadcast_to(retention, sensitivity.shape)),
-        way=np.concatenate([way[:1], way]))
+        way=np.concatenate([way[:1], way]), change=change, stride=way * np.sqrt(length))
 
 
 def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
@@ -346,7 +357,7 @@ def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
     beside that of the `best` fit of steady speeds, whose headings may remember. Tracks are cut at
     the few steps that stand out then.
     """
-    numbers = 3 if fit.model.propulsion == 'rolling' else 2
+    numbers = 6 if fit.model.propulsion == 'rolling' else 5
     restless, fluctuates = [], False
     for session, p, other in zip(sessions, fit.session_fits, best.session_fits, strict=True):
         one = session
@@ -365,40 +376,47 @@ def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
 
 
 def fit_fluctuation(fit: SessionFit, model: Model) -> SessionFit:
-    """A `fit` of a `model` with the strength and correlation time of its speeds at the maximum.
+    """A `fit` of a `model` with the noise of velocities that fluctuate at its maximum.
 
-    With those of all other noise, and of the swing of rollers. Uphill from what the fit has, or
-    from a few correlation times where its speeds are steady.
+    With that of commands that act early or late, of the swing of rollers, and all other noise.
+    Uphill from what the fit has, or from a few correlation times where its velocities are steady.
     """
     from scipy.optimize import minimize
 
     session, known = fit.session, fit.whitening
     h, rolls = session.interval, model.propulsion == 'rolling'
-    low, high = SHORTEST * h, min(LONGEST, PART * float(np.ptp(session.times)))
+    longest = min(LONGEST, PART * float(np.ptp(session.times)))
+    total = known.noise_ratio + h / 3
+    speed = float(np.abs(fit.moved).mean()) / h
+    unit = max(speed, MOVES / h)
+    # Over D: (reading, speed, correlation time, wander, jitter, unevenness, swing).
+    if known.fluctuation is None:
+        starts = [(total, 0.3**2 / (time * fit.diffusion), time, 0.1, (h / 4)**2 / fit.diffusion,
+                   0.1 / unit, total) for time in STARTS if time < longest]
+    else:
+        starts = [(total, known.diffusion_ratio, known.fluctuation, known.wander,
+                   known.jitter_ratio, known.uneven_ratio, known.swing_ratio)]
+    low = np.log([SMALLEST * h, LEAST**2 / (longest * fit.diffusion), SHORTEST * h, LEAST,
+                  (LEAST * h)**2 / fit.diffusion, LEAST / unit, LEAST * h])
+    high = low + np.log(WIDEST)
+    high[[0, 2, 3]] = np.log([LARGEST * h, longest, 1 / LEAST])
+    count = len(low) if rolls else len(low) - 1
 
     def at(u: np.ndarray) -> SessionFit:
+        around, speed, time, wander, jitter, uneven, *swing = np.exp(u).tolist()
         noise = replace(
-            fluctuating(fit, float(np.clip(math.exp(u[2]), low, high))), stretch=model.stretch,
-            diffusion_ratio=math.exp(u[1]), swing_ratio=math.exp(u[3]) if rolls else 0.0,
-            noise_ratio=math.exp(max(u[0], math.log(SMALLEST * h))) - h / 3)
+            fluctuating(fit, time), stretch=model.stretch, noise_ratio=around - h / 3,
+            diffusion_ratio=speed, wander=wander, jitter_ratio=jitter, uneven_ratio=uneven,
+            swing_ratio=swing[0] if rolls else 0.0)
         return SessionFit.of(session, noise, fit.expected)
 
-    total = known.noise_ratio + h / 3
-    if known.fluctuation is None:
-        starts = [(0.3**2 / (time * fit.diffusion), time, total)
-                  for time in STARTS if time < high]
-        step = 1.0
-    else:
-        starts = [(known.diffusion_ratio, known.fluctuation, known.swing_ratio)]
-        step = 0.2
-    found = []
-    for of in starts:
-        start = np.log([total, *np.maximum(of, 1e-300)])[:4 if rolls else 3]
-        simplex = np.vstack([start, start + step * np.eye(len(start))])
-        best = minimize(lambda u: -at(u).restricted_log_likelihood, start, method='Nelder-Mead',
-                        options={'initial_simplex': simplex, 'xatol': 0.02, 'fatol': 0.02})
-        found.append(at(best.x))
-    return max(found, key=lambda one: one.restricted_log_likelihood)
+    bounds = list(zip(low[:count], high[:count], strict=True))
+    begun = [np.clip(np.log(np.maximum(of, 1e-300)), low, high)[:count] for of in starts]
+    begin = max(begun, key=lambda u: at(u).restricted_log_likelihood)
+    scale = abs(at(begin).restricted_log_likelihood)
+    best = minimize(lambda u: -at(u).restricted_log_likelihood, begin, method='L-BFGS-B',
+                    bounds=bounds, options={'eps': 1e-3, 'ftol': ENOUGH / scale, 'gtol': 0.1})
+    return at(best.x)
 
 
 def _price_of_turning(fit: SessionFit) -> float:

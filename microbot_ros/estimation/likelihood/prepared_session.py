@@ -52,6 +52,11 @@ SLIPS, TOUCHES = 0.05, 0.005
 cut: beyond them the motion itself is uneven, as of a dimer that leaps with every half turn. More
 than one step in 200 frames is no stage that was touched."""
 
+HELD = 0.1
+"""Seconds for which a command has to be held before a change of it is a switch: the shortest over
+which something may relax. What changes all the time, as a ramp of angles or a closed loop, has no
+switch."""
+
 LARGEST_CONTACT = 15e-6
 """Particles that never came closer than this [m] did not touch."""
 
@@ -136,6 +141,16 @@ class PreparedSession:
         return Timeline(self.commands, self.times, self.causal_positions, self.ids, self.phi)
 
     @cached_property
+    def switches(self) -> np.ndarray:
+        """Rows (K,) of the commands that change one which was held for HELD."""
+        commands = self.commands
+        told = np.column_stack([commands.field, commands.frequency_at(commands.t)])
+        change = np.append(0, 1 + np.flatnonzero((told[1:] != told[:-1]).any(axis=1)))
+        began = commands.t[change]
+        inside = (began[1:] > self.times[0]) & (began[1:] < self.times[-1])
+        return change[1:][(np.diff(began) >= HELD) & inside]
+
+    @cached_property
     def interval(self) -> float:
         """The usual time between frames [s]."""
         return float(np.median(np.diff(self.times)))
@@ -210,9 +225,12 @@ class PreparedSession:
             [np.zeros((1, self.z.shape[1]), bool), self._odd_steps(TOUCHES)]))
 
     def cut_at(self, rows: np.ndarray) -> PreparedSession:
-        """Tracks in pieces that begin at `rows` (T, N) bool, where these are rare in a track."""
-        rare = rows.sum(axis=0) <= np.maximum(TOUCHES * self.seen.sum(axis=0), 2)
-        return self._cut(rows & rare)
+        """Tracks in pieces that begin at `rows` (T, N) bool, where these are rare in a track.
+
+        Or no more than the switches of the command: bodies turn over before they follow.
+        """
+        few = np.maximum(TOUCHES * self.seen.sum(axis=0), max(2, len(self.switches)))
+        return self._cut(rows & (rows.sum(axis=0) <= few))
 
     def _cut(self, cut: np.ndarray) -> PreparedSession:
         if not cut.any():

@@ -19,8 +19,10 @@ def test_a_recording_is_found_replayed_and_downloaded(tmp_path, page) -> None:
     assert '00:01 min' in page.inner_text(row)
     with page.expect_popup() as opened:
         page.click(f'{row} a:has-text("Replay")')
-    opened.value.wait_for_function('document.querySelector("video")?.currentTime > 0.2',
-                                   timeout=60_000)
+    end = time.monotonic() + 60
+    while not opened.value.evaluate('document.querySelector("video")?.currentTime > 0.2'):
+        assert time.monotonic() < end
+        opened.value.wait_for_timeout(100)
     with page.expect_download() as downloaded:
         page.click(f'{row} a:has-text("Download")')
     assert downloaded.value.suggested_filename == 'yesterday_0.mcap'

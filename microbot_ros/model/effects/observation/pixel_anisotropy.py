@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect, Evidence
+from microbot_ros.model.effects.field.coil_gain_mismatch import CoilGainMismatch
 from microbot_ros.model.parameter import parameter
 
 
@@ -14,9 +15,10 @@ from microbot_ros.model.parameter import parameter
 class PixelAnisotropy(Effect):
     """measured = diag(1, a) true.
 
-    Bounds of a: one field of an interlaced picture has half the rows, and wide-screen video pixels
-    are 1.46 as wide as high; no camera goes beyond. Motion that is not isotropic for another
-    reason, as of rollers whose speed fluctuates along one line, would exceed them.
+    Bounds of a: wide-screen video pixels are 1.46 as wide as high (ITU-R BT.601); no camera goes
+    beyond. Motion that is not isotropic for another reason, as of rollers whose speed fluctuates
+    along one line, would exceed them. One field of an interlaced picture, half the rows, is not in
+    them: it shows in the film.
     """
 
     id = 'pixel_anisotropy'
@@ -25,7 +27,7 @@ class PixelAnisotropy(Effect):
     required_excitation = 'commands in all directions'
     confounded_with = ('coil_gain_mismatch',)
 
-    aspect: float = parameter('aspect', 'y over x', 0.5, 2.0, 0.1, null_value=1.0)
+    aspect: float = parameter('aspect', 'y over x', 1 / 1.5, 1.5, 0.1, null_value=1.0)
 
     def observe(self, position: np.ndarray) -> np.ndarray:
         return position * np.array([1.0, self.aspect])
@@ -35,5 +37,9 @@ class PixelAnisotropy(Effect):
 
     @classmethod
     def applies(cls, evidence: Evidence) -> bool:
-        """Whether commands turn far enough: along one line, speeds absorb it."""
-        return not evidence.absorbs(cls(1.01))
+        """Whether commands turn far enough.
+
+        Along one line, speeds absorb it. Within some 20° of a line it bends paths as unlike coils
+        do, and cameras are squarer than coils are alike.
+        """
+        return not evidence.absorbs(cls(1.01), beside=[CoilGainMismatch(1.01)])

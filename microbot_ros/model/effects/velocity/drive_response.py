@@ -19,10 +19,11 @@ class DriveResponse(Effect):
 
     c = fⁿ/(fⁿ + f_cⁿ) rises from 0 to 1 about the cut-in f_c, below which the particle hardly
     follows; s = fᵐ/(fᵐ + f_sᵐ) rises about the step-out f_s, above which the gain has lost the
-    part `slip`: all of it where the particle loses the field (slip 1), some where it slides. The
-    gain is that of proportional rolling between the two, so it stays identifiable. Hill’s curve
-    is chosen for covering the known shapes: a dead zone f − f_c (n near 1), a threshold (large
-    n), the 1/f² of a rotor beyond step-out (slip 1, m near 2 to 4).
+    part `slip`: all of it where the particle loses the field (slip 1), some where it slides. f_c
+    is at most f_s: a particle follows before it loses the field. The gain is that of proportional
+    rolling between the two, so it stays identifiable. Hill’s curve is chosen for covering the
+    known shapes: a dead zone f − f_c (n near 1), a threshold (large n), the 1/f² of a rotor beyond
+    step-out (slip 1, m near 2 to 4).
     """
 
     id = 'drive_response'
@@ -48,7 +49,7 @@ class DriveResponse(Effect):
 
     def speed_factor(self, context: EffectContext) -> np.ndarray:
         f = np.abs(context.frequency)
-        follows = hill(f, self.cut_in, self.cut_in_steepness)
+        follows = hill(f, min(self.cut_in, self.step_out), self.cut_in_steepness)
         return follows * (1 - self.slip * hill(f, self.step_out, self.step_out_steepness))
 
     @classmethod
