@@ -30,9 +30,9 @@ def test_pixels_are_no_candidate_under_commands_along_one_line(film):
 
 
 def test_pixels_are_no_candidate_where_coils_bend_paths_alike(film):
-    """Within 15° of a line what pixels do to speeds is small beside what both do to directions."""
+    """Within 8° of a line what pixels do to speeds is small beside what both do to directions."""
     session, _ = film(30, duration=15.0)
-    angle = np.pi / 2 + np.radians(15) * np.sign(session.commands.field[:, 0])
+    angle = np.pi / 2 + np.radians(8) * np.sign(session.commands.field[:, 0])
     near = 5e-3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     narrow = replace(session, commands=replace(session.commands, field=near))
     assert not fit_candidate(fitted(narrow), 'pixel_anisotropy')

@@ -39,7 +39,7 @@ class PixelAnisotropy(Effect):
     def applies(cls, evidence: Evidence) -> bool:
         """Whether commands turn far enough.
 
-        Along one line, speeds absorb it. Within some 20° of a line it bends paths as unlike coils
-        do, and cameras are squarer than coils are alike.
+        Along one line, speeds absorb it. Within some 9° of a line less than 5 % of its information
+        is left, and it bends paths as unlike coils do; cameras are squarer than coils are alike.
         """
         return not evidence.absorbs(cls(1.01), beside=[CoilGainMismatch(1.01)])
