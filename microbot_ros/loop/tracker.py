@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.common import units
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import read_yaml
 from microbot_ros.common.settings import setting
@@ -96,7 +95,8 @@ class TrackerStage:
         Raises FrameError for an unusable image, which changes nothing.
         """
         if self._camera is None:
-            self._camera = self._calibration(image)
+            height, width = image.shape[:2]
+            self._camera = ImageToWorkspace.of_tracker(vars(self._parameters), width, height)
         if self._wanted is not self._tracker.settings:
             self._tracker.teach(self._wanted)
         drive = self._drive.between(self._previous, t) if self.frames else np.zeros(2)
@@ -220,13 +220,6 @@ class TrackerStage:
             raise InputError('teach', 'expected a frame of the last few seconds: that one is no '
                                       'longer held')
         return image
-
-    def _calibration(self, image: np.ndarray) -> ImageToWorkspace:
-        values = self._parameters
-        return ImageToWorkspace(
-            pixel_size=units.to_si('pixel_size_um', values.pixel_size_um),
-            width=image.shape[1], height=image.shape[0], mirrored=values.mirrored,
-            rotation=units.to_si('rotation_deg', values.rotation_deg))
 
 
 def _particles(poses: Poses, camera: ImageToWorkspace) -> np.ndarray:

@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from microbot_ros.common import settings, strict_yaml
+from microbot_ros.common import settings
 from microbot_ros.common.errors import InputError
 from microbot_ros.control.plugins.policy import EXECUTED_FILE
 from microbot_ros.control.recorded_worker import IN_TIME, RepeatingWorker
@@ -33,7 +33,7 @@ from microbot_ros.nodes.model import ModelCore
 from microbot_ros.nodes.tracker import TrackerCore
 from microbot_ros.session.mcap.bag import whole
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import Recording, is_topic
+from microbot_ros.session.mcap.recording import Recording, is_topic, kept_parameters
 from microbot_ros.session.replay.compare import Doubt
 from microbot_ros.session.replay.log import (
     EXPIRE,
@@ -166,7 +166,7 @@ def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Pa
     kept = recording.attachments()
     found: dict[str, dict[str, Any]] = {}
     for node in nodes:
-        values = _kept_parameters(recording, kept.get(f'parameters/{node}.yaml', b''), node)
+        values = kept_parameters(recording.path, kept, node)
         values = {name: kept_file(kept, folder, name, value) for name, value in values.items()}
         if values.get(EXECUTED_FILE):
             values[EXECUTED_FILE] = str(policy.resolve()) if policy else ''
@@ -186,18 +186,6 @@ def kept_file(kept: Mapping[str, bytes], folder: Path, name: str, value: Any) ->
     copy = folder / f'{hashlib.sha256(kept[value]).hexdigest()[:16]}{Path(value).suffix}'
     copy.write_bytes(kept[value])
     return str(copy)
-
-
-def _kept_parameters(recording: Recording, text: bytes, node: str) -> dict[str, Any]:
-    """Return the parameters of a `node` in the `text` of a file kept inside a recording."""
-    try:
-        content = strict_yaml.load(text.decode())[1] or {}
-        values: dict[str, Any] = dict(content.get(node, {}).get('ros__parameters', {}))
-    except (strict_yaml.YamlError, ValueError, TypeError, AttributeError):
-        raise InputError(recording.path, f'expected the parameters of {node} in it') from None
-    if not all(isinstance(name, str) and Path(name).name == name for name in values):
-        raise InputError(recording.path, f'expected names of parameters of {node} in it')
-    return values
 
 
 class _Outlet:

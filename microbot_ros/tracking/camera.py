@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
+
+from microbot_ros.common import units
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,16 @@ class ImageToWorkspace:
             raise ValueError(
                 f'the image must have pixels; received {self.width}×{self.height}'
             )
+
+    @classmethod
+    def of_tracker(cls, parameters: Mapping[str, Any], width: int, height: int) -> Self:
+        """Return the transform stated by the `parameters` of a tracker; `width`, `height` [px].
+
+        Raises KeyError for one that is missing and ValueError for one that is no number.
+        """
+        return cls(units.to_si('pixel_size_um', float(parameters['pixel_size_um'])), width, height,
+                   units.to_si('rotation_deg', float(parameters['rotation_deg'])),
+                   bool(parameters['mirrored']))
 
     @cached_property
     def _centre(self) -> np.ndarray:

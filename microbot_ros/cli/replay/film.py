@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from microbot_ros.common import units
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import require
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes.base import messages
-from microbot_ros.session.mcap.recording import Recording, open_recording
+from microbot_ros.session.mcap.recording import Recording, kept_parameters, open_recording
 from microbot_ros.tracking import ImageToWorkspace, Poses
 from microbot_ros.tracking.overlay import OverlayVideo
 
@@ -108,14 +106,10 @@ def _around(recording: Recording, particles: str) -> ImageToWorkspace:
 
 def _camera(recording: Recording, image: np.ndarray) -> ImageToWorkspace:
     """Return how an `image` (H, W) lies, by the tracker's parameters in the recording."""
-    known: dict[str, Any] = {}
-    for name, content in recording.attachments().items():
-        if name.startswith('parameters/') and name.endswith('tracker.yaml'):
-            known = next(iter(yaml.safe_load(content).values()))['ros__parameters']
-    if not known:
-        raise InputError(recording.path, 'expected the parameters of the tracker inside')
     height, width = image.shape
-    return ImageToWorkspace(
-        units.to_si('pixel_size_um', float(known['pixel_size_um'])), width, height,
-        rotation=units.to_si('rotation_deg', float(known['rotation_deg'])),
-        mirrored=bool(known['mirrored']))
+    known = kept_parameters(recording.path, recording.attachments(), 'tracker')
+    try:
+        return ImageToWorkspace.of_tracker(known, width, height)
+    except (KeyError, TypeError, ValueError):
+        raise InputError(recording.path,
+                         'expected the parameters of the tracker inside') from None

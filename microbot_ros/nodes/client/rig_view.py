@@ -28,7 +28,6 @@ from sensor_msgs.msg import (
 from std_msgs.msg import Bool, String
 
 from microbot_ros.cockpit.rig import ParticleListener, PictureListener, zero_in
-from microbot_ros.common import units
 from microbot_ros.loop.points import GOAL, PARTICLE, PLACE
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import LATCHED, RigNode
@@ -237,10 +236,7 @@ class RigView:
         """Know from the parameters of the `tracker` how large a pixel is, and how it lies."""
         if self._size is None:
             return
-        self._camera = ImageToWorkspace(
-            units.to_si('pixel_size_um', float(tracker['pixel_size_um'])), *self._size,
-            rotation=units.to_si('rotation_deg', float(tracker['rotation_deg'])),
-            mirrored=bool(tracker['mirrored']))
+        self._camera = ImageToWorkspace.of_tracker(tracker, *self._size)
 
     @property
     def calibrated(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from microbot_ros.common import strict_yaml
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import load_yaml, write_text
 from microbot_ros.session.mcap.bag import METADATA_FILE, metadata_text, typestore
@@ -148,6 +149,23 @@ class Recording:
                 count = summary.statistics.channel_message_counts.get(channel.id, 0)
                 topics[channel.topic] = Topic(kind, earlier.count + count)
         return topics
+
+
+
+def kept_parameters(path: Path, kept: Mapping[str, bytes], node: str) -> dict[str, Any]:
+    """Return the parameters of a `node` in the files `kept` inside the recording at `path`.
+
+    Empty where none were kept. Raises InputError for a file that is not what the recorder writes.
+    """
+    try:
+        text = kept.get(f'parameters/{node}.yaml', b'').decode()
+        content = strict_yaml.load(text)[1] or {}
+        values: dict[str, Any] = dict(content.get(node, {}).get('ros__parameters', {}))
+    except (strict_yaml.YamlError, ValueError, TypeError, AttributeError):
+        raise InputError(path, f'expected the parameters of {node} in it') from None
+    if not all(isinstance(name, str) and Path(name).name == name for name in values):
+        raise InputError(path, f'expected names of parameters of {node} in it')
+    return values
 
 
 def open_recording(path: str | Path) -> Recording:

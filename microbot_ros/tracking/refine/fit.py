@@ -17,7 +17,8 @@ import numpy as np
 
 from microbot_ros.common.compiled import numba
 
-X, Y, CONTRAST, OFFSET, SIZE, THETA, PARAMETERS = range(7)
+X, Y, CONTRAST, OFFSET, SIZE, THETA = range(6)
+PARAMETERS = 6
 
 TABLE_STEP = 1 / 16
 """Choice: spacing [px] of the profile tables; interpolation errs by 1e-4 of the contrast."""
