@@ -159,3 +159,19 @@ def _get(served: Any, path: str) -> tuple[int, bytes]:
     content = answer.read()
     connection.close()
     return answer.status, content
+
+
+@pytest.mark.parametrize('parameters', [
+    'tracker: [', '{}', '{tracker: {ros__parameters: {pixel_size_um: wide}}}',
+    '{tracker: {ros__parameters: {pixel_size_um: .nan, rotation_deg: 0, mirrored: false}}}'])
+def test_a_film_without_a_calibration_is_refused_and_not_begun(
+        tmp_path: Path, parameters: str) -> None:
+    with RecordingWriter(tmp_path / 'run') as writer:
+        writer.attach('parameters/tracker.yaml', parameters)
+        for stamp in (10**15, 10**15 + 40_000_000):
+            writer.write('/camera/image_raw', IMAGE, stamp, image(stamp))
+    out = tmp_path / 'film.mp4'
+    with pytest.raises(InputError, match='the parameters of'):
+        CliRunner().invoke(cli.microbot, ['replay', str(tmp_path / 'run'), '--film', str(out)],
+                           catch_exceptions=False, standalone_mode=False)
+    assert not out.exists()
