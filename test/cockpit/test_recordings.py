@@ -137,7 +137,8 @@ def test_pages_get_list_and_files(folder: Path, served: Any) -> None:
 
 
 @pytest.mark.rig  # a process of the lowest priority draws it: beside others it may take minutes
-def test_pages_get_a_film(folder: Path, served: Any, tmp_path: Path) -> None:
+@pytest.mark.usefixtures('folder')
+def test_pages_get_a_film(served: Any, tmp_path: Path) -> None:
     status, content = _get(served, '/recordings/batch/film.mp4')
     (tmp_path / 'got.mp4').write_bytes(content)
     assert (status, len(_film(tmp_path / 'got.mp4'))) == (200, FRAMES)
