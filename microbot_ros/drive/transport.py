@@ -73,7 +73,7 @@ class Port:
                 return
             while data:
                 if not select.select([], [descriptor], [], _WRITE_TIMEOUT_S)[1]:
-                    raise TimeoutError(f'it takes no byte for {_WRITE_TIMEOUT_S:g} s')
+                    raise TimeoutError(f'no byte could be written for {_WRITE_TIMEOUT_S:g} s')
                 data = data[os.write(descriptor, data):]
 
     def receive(self, timeout_s: float = 0.0) -> bytes:

@@ -162,7 +162,7 @@ def test_a_broken_image_is_named_and_the_rest_tracked(
     for path in images.iterdir():
         (folder / path.name).write_bytes(path.read_bytes() if path.name != '3.png' else b'')
     assert _run(folder, '--out', tmp_path / 'out', '--no-overlay') == 0
-    assert 'frame 3 can not be decoded' in capsys.readouterr().err
+    assert 'frame 3 cannot be decoded' in capsys.readouterr().err
     frames = {line.split(',')[0] for line in (
         tmp_path / 'out' / 'tracks.csv').read_text().splitlines()[1:]}
     assert '3' not in frames

@@ -179,7 +179,7 @@ def test_pictures_that_cannot_be_read_are_left_out_and_said(ros: Any, folder: Pa
 
 
 @pytest.mark.parametrize(('source', 'expected'), [
-    ('', 'expected a parameter source'),
+    ('', 'expected the parameter source'),
     ('/nowhere/film.mp4', '/nowhere/film.mp4'),
     ('/dev/video99', '/dev/video99'),
     ('EMPTY', 'no frame'),

@@ -120,7 +120,7 @@ def _told(_: Stand, rig: DrivenRig) -> None:
 
 @pytest.mark.parametrize(('go_wrong', 'reason'), [
     (_operator, 'an operator let'), (_disarmed, 'the gate is disarmed'),
-    (_gone, 'no particle has been seen'), (_dark, 'seen'), (_told, 'told to end')])
+    (_gone, 'no particle has been seen'), (_dark, 'seen'), (_told, 'stopped on request')])
 def test_what_goes_wrong_stops_the_plan_and_leaves_the_rig_at_rest(
         stand: Stand, client: GraphClient, monkeypatch: pytest.MonkeyPatch,
         go_wrong: Callable[..., None], reason: str) -> None:

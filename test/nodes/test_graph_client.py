@@ -53,7 +53,8 @@ def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
                              (('--path', '0,0', '9,9'), 'path', 'path_following')):
         status, out, error = graph.microbot('goal', *words)
         assert (status, out) == (1, '')
-        assert error.startswith(f'microbot: controller: manual takes no {what}; these do: ')
+        assert error.startswith(f'microbot: controller: manual takes no {what}; controllers that '
+                                'do: ')
         assert who in error
         assert len(goals.goals) == 5
         assert has_path()
@@ -151,8 +152,8 @@ def test_a_controller_that_does_not_answer_is_one_and_the_reason(
     graph = ros({'controller': {'controller': 'waypoint'}})
     graph.add('controller').trigger_deactivate()
     assert graph.microbot('goal', '1,1', '--wait', '60') == (
-        1, '', 'microbot: controller did not take the goals within 1 s: it says nothing; is it '
-        'active?\n')
+        1, '', 'microbot: controller did not accept the goals within 1 s: it publishes nothing; '
+               'is it active?\n')
     assert len(graph.nodes['controller'].stage.goals) == 0
 
 
@@ -219,9 +220,9 @@ def test_arming_that_was_given_up_does_not_come_true_later(
     graph, driver = _driver_and_commander(ros, emulator)
     asked = _requests(driver)
     assert command('arm') == (
-        1, '', 'microbot: coil_driver did not answer within 1 s; asked to disarm: not reachable: '
-        'coil_driver did not answer within 1 s; coils may carry current, switch the amplifier off '
-        'by hand\n')
+        1, '', 'microbot: coil_driver did not answer within 1 s; disarm requested; no answer: not '
+               'reachable: coil_driver did not answer within 1 s; coils may carry current, switch '
+               'the amplifier off by hand\n')
     graph.until(lambda: False in asked)
     graph.until(lambda: driver._driver.zero is Zero.CONFIRMED)
     assert asked.count(True) <= 1

@@ -150,7 +150,7 @@ def test_what_a_change_does_is_shown_at_the_first_point(tmp_path: Path) -> None:
     (['FOLDER', '--check'], 'found a folder of CSV files'),
     ([STEERING, '--check', '--rate', '2'], 'expected only without --check'),
     ([STEERING, '--node', 'model'], 'expected only with --check'),
-    ([TRACKING, '--check', '--node', 'controller'], 'expected model/state to play to the con'),
+    ([TRACKING, '--check', '--node', 'controller'], 'expected model/state as input of the con'),
     ([STEERING, '--check', '--config', '/nowhere.yaml'], '/nowhere.yaml: expected'),
     ([STEERING, '--check', '--end', 'nan'], 'end_s must be finite; received nan'),
     ([STEERING, '--check', '--node', 'steam'], "'steam' is not one of"),

@@ -163,7 +163,7 @@ def test_a_spreadsheet_with_a_sheet_per_robot_intervals_pixels_and_y_down(tmp_pa
     assert session.conditions.pixel_size == PIXEL
     assert session.conditions.frame_rate == pytest.approx(1 / STEP, rel=0.02)
     for expected in ('intervals', 'y points down', 'Notes: holds neither', 'in radians',
-                     'on the clock of Robot 1', 'row by row beside Robot 1'):
+                     'on the clock of Robot 1', 'matched row by row to Robot 1'):
         assert any(expected in sentence for sentence in said), expected
 
 

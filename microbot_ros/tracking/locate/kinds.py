@@ -169,8 +169,8 @@ def _cut(ends: np.ndarray, examples: np.ndarray, other: np.ndarray, name: str) -
     far = np.maximum(below, above) / _APART
     k = int(np.argmax(far))
     if far[k] < 1:
-        raise InputError('unlike', f'expected something that differs from the examples of {name}: '
-                                   f'in size, contrast, sharpness and shape this is one of them')
+        raise InputError('unlike', f'expected something unlike the examples of {name}: by '
+                                   'size, contrast, sharpness and shape this is one of them')
     if below[k] > above[k]:
         ends[k, 0] = other[k] + below[k] / 2
     else:
