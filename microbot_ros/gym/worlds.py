@@ -124,7 +124,8 @@ class SteeredWorlds:
         slowest = 1 / self._gate_limits.command_timeout_s
         if not rate > slowest:
             raise InputError(self._source, "'camera.frame_rate_hz': expected more than "
-                             f'{slowest:.3g}, as no command lives longer than that')
+                                           f'{slowest:.3g}, as commands expire after one '
+                                           'period of that rate')
         self.limits = Limits(
             wanted.max_field_mT * 1e-3, values.slew_mT_per_s * 1e-3, values.max_frequency_hz)
         low, high = np.reshape(values.workspace_um, (2, 2)) * 1e-6

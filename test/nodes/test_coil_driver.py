@@ -266,7 +266,7 @@ def test_a_commander_that_is_back_needs_a_new_arm(emulator: Any, ros: Any) -> No
     graph.commands = graph.probe.create_publisher(Vector3Stamped, 'field/command', 10)
     graph.until(lambda: _command(graph, 3e-3, 0.0) or not driver._driver.gate.armed)
     assert len(emulator.entries()) == begin
-    assert _fault(graph) == ('second commander: /probe is new, or back, and needs a new arm')
+    assert _fault(graph) == ('second commander: /probe is new or was restarted; arm again')
     _driving(graph, emulator)
 
 

@@ -459,7 +459,7 @@ def test_a_joystick_that_says_no_number_counts_as_centred(
     loop.graph.until(lambda: (stick.push(1.0, 1.0), loop.see(),
                               loop.fields and loop.strength() > 4.9e-3)[-1])
     stick.push(*axes)
-    loop.graph.until(lambda: 'counted as centred' in loop.node._complaint)
+    loop.graph.until(lambda: 'treated as centred' in loop.node._complaint)
     last = loop.node.seconds()
     loop.graph.until(lambda: loop.keep_seeing() or messages.to_seconds(
         loop.fields[-1].header.stamp) > last + 0.04)

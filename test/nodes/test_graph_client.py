@@ -40,12 +40,12 @@ def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
         return len(goals.path) > 0
     for count in range(1, 6):
         assert graph.microbot('goal', *['10,10'] * count) == (
-            0, f"{count} goal{'s' * (count > 1)} taken by controller 'waypoint'\n", '')
+            0, f"{count} goal{'s' * (count > 1)} accepted by controller 'waypoint'\n", '')
         # They are there when the command ends, and not some time later.
         assert len(goals.goals) == count
     graph.microbot('set', 'controller', 'controller', 'path_following')
     assert graph.microbot('goal', '--path', '0,0', '10,0') == (
-        0, "path of 2 points taken by controller 'path_following'\n", '')
+        0, "path of 2 points accepted by controller 'path_following'\n", '')
     assert len(goals.goals) == 5
     assert has_path()
     graph.microbot('set', 'controller', 'controller', 'manual')
@@ -108,14 +108,14 @@ def test_each_command_speaks_to_the_rig_of_its_namespace(
     there, folder = ('--namespace', 'rig_2'), str(tmp_path / 'run')
     assert graph.microbot('set', 'controller', 'controller', 'waypoint', *there)[0] == 0
     status, out, error = graph.microbot('goal', '1,1', *there)
-    assert (status, out) == (0, "1 goal taken by controller 'waypoint'\n")
+    assert (status, out) == (0, "1 goal accepted by controller 'waypoint'\n")
     assert error.startswith('coil_driver: disarmed')
     assert graph.microbot('record', '--folder', folder, *there) == (
         0, f'recording to {folder}\n', '')
     assert graph.microbot('arm', *there)[0] == 0
     assert graph.nodes['rig_2/coil_driver']._driver.gate.armed
     assert graph.microbot('goal', '1,1', *there)[:2] == (
-        0, "1 goal taken by controller 'waypoint'\n")
+        0, "1 goal accepted by controller 'waypoint'\n")
     with graph.spinning(), GraphClient(namespace='rig_2') as client:
         heard: dict[str, str] = {}
         client.watch_health(lambda node, _, sentence, __: heard.setdefault(node, sentence))

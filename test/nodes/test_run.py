@@ -209,7 +209,7 @@ def test_what_a_rig_recorded_is_answered_the_same(
         [sys.executable, '-m', 'microbot_ros.cli', 'replay', '--check',
          str(tmp_path / 'recording')], capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert 'every answer is the same' in done.stdout
+    assert 'all outputs are equal' in done.stdout
 
 
 UNFIT: dict[str, tuple[str, str]] = {
