@@ -13,7 +13,7 @@ from microbot_ros.discovery.result import Estimate, Limit
 from microbot_ros.model.effects import EFFECTS
 
 LEAST = 1e-300
-"""Smallest printed p-value, and inverse of the largest printed odds: near the range of a double."""
+"""Smallest printed p-value, and inverse of the largest printed odds: near the least double."""
 
 _RAISED = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
 """Superscripts of exponents."""
