@@ -1,4 +1,4 @@
-"""The picture of a learned term: its curve, or its map, with the band."""
+"""Figure of a learned term: its curve, or its map, with the band."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ _WORDS = {
                                                                     'neighbour',
     'factor': 'relative change of the speed', 'turn_rad': 'rotation of the heading',
 }
+"""Axis labels of covariates and components, without unit."""
 
 
 def _label(name: str) -> str:
@@ -27,7 +28,18 @@ def _label(name: str) -> str:
 
 
 def draw_learned(term: LearnedTerm) -> Figure:
-    """A learned `term` against its covariate, where it was seen, with its 95 % band."""
+    """Draw a learned term against its covariate, where it has data.
+
+    Parameters
+    ----------
+    term : LearnedTerm
+        The term.
+
+    Returns
+    -------
+    Figure
+        Curves with their 95 % band, or a map.
+    """
     if term.against == 'position':
         return _map(term)
     figure = Figure(figsize=(11, 3.2), layout='constrained')
