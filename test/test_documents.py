@@ -75,7 +75,7 @@ def test_every_sentence_of_a_fault_has_its_cause_and_cure(build):
 @pytest.mark.parametrize('reason', Reason)
 @pytest.mark.parametrize('parameters', ['', ' (deviation_A, settling_ms)'])
 def test_every_fault_of_the_gate_is_shown_with_its_cause_and_cure(reason, parameters):
-    cause, cure = faults.catalogue()['Why the gate let go: the word before the colon'][reason]
+    cause, cure = faults.catalogue()['Faults of the gate: the words before the colon'][reason]
     said = f'disarmed, {reason}{parameters}: (0, 0) A for 0.2 s; zero, confirmed by a reading'
     assert faults.remedy(said) == faults.Remedy(cause, cure) or cure.startswith('The detail')
 

@@ -1,4 +1,12 @@
-"""The `microbot` command: one file per command, imported only when it is called."""
+"""The `microbot` command: one file per command, imported only when it is called.
+
+Examples
+--------
+>>> from click.testing import CliRunner
+>>> from microbot_ros.cli import microbot
+>>> CliRunner().invoke(microbot, ['fit', '--help']).output.splitlines()[0]
+'Usage: microbot fit [OPTIONS] SESSION'
+"""
 
 from __future__ import annotations
 

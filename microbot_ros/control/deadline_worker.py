@@ -25,7 +25,7 @@ class BusyError(LateError):
     """An earlier call has not returned yet; this one was not started."""
 
     def __init__(self) -> None:
-        super().__init__('is still computing the previous tick')
+        super().__init__('is still computing the previous command')
 
 
 class HungError(Exception):

@@ -251,7 +251,7 @@ def test_a_late_answer_is_not_used_and_not_a_lasting_fault():
     waits.gate = threading.Event()
     manager = ControllerManager({'waits': waits}, 'waits', deadline=0.02, patience=60)
     assert 'took longer than' in run(manager, 1)[0].message
-    assert 'previous tick' in run(manager, 1)[0].message
+    assert 'previous command' in run(manager, 1)[0].message
     manager._deadline = AMPLE
     waits.gate.set()
     assert manager._threads['waits']._worker._newest.returned.wait(10)
