@@ -524,7 +524,7 @@ class Discovery:
         against = ', '.join(m.against for m in self.unexplained)
         said = {
             'consistent': [('The first-order model explains the data' + (
-                ', with one hint:' if self.effects else ': nothing is missing.')),
+                ', with one hint:' if self.effects else ': no effect was found.')),
                 *([f'The residuals against {against} do not improve the prediction.']
                   if against else [])],
             'named': [f'The residuals, against {against}, are small compared with:' if against else

@@ -154,5 +154,5 @@ def _refuse_contradictions(values: GateParameters, allocator: Allocator) -> None
             ('step_limit_A', values.step_limit_A, reversal, 'needs to be reversed')):
         if not limit >= least:
             raise InputError(name, f'expected at least {math.ceil(least * 1e3) / 1e3:g} A, '
-                                   f'which a field of {values.full_field_mT:g} mT needs '
-                                   f'{what} with these coils; received {limit:g} A')
+                                   f'which a field of {values.full_field_mT:g} mT {what} with '
+                                   f'these coils; received {limit:g} A')

@@ -31,7 +31,7 @@ def test_whether_real_time_is_granted_is_said_and_not_kept(monkeypatch):
 def test_how_late_the_dead_man_may_be_is_measured_on_a_busy_machine(monkeypatch):
     monkeypatch.setattr(doctor, '_WATCH_SECONDS', 0.2)
     found = _dead_man()
-    assert f'beside {os.cpu_count()} busy programs woke at most ' in found.detail
+    assert f'with {os.cpu_count()} busy programs, woke at most ' in found.detail
     assert not [child for child in psutil.Process().children() if 'while True' in child.cmdline()]
     monkeypatch.setattr(doctor, '_LATE_MS', 0.0)
     assert (_dead_man().level, 'expected 0 ms' in _dead_man().detail) == ('warn', True)

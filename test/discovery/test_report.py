@@ -96,7 +96,7 @@ def test_headlines_follow_the_verdict(drifting):
     unnamed = headline(replace(found, verdict='unnamed', effects=proxy, unexplained=left))
     assert 'depends on position (p = 1·10⁻⁶)' in unnamed
     assert 'can only stand in' in unnamed
-    assert 'Nothing is missing' in headline(replace(found, verdict='consistent', effects=()))
+    assert 'No effect was found' in headline(replace(found, verdict='consistent', effects=()))
     beside = headline(replace(
         found, verdict='unnamed', unexplained=left,
         effects=(*found.effects, replace(proxy[0], id='hot_spot'))))
@@ -130,9 +130,9 @@ def test_the_summary_says_in_two_sentences_what_moves_particles_and_what_to_do(d
              'could not have shown speed decay'),
             (replace(nothing, effects=(replace(drift, status='suggested'),)),
              'apart from a weak sign of uniform drift', ''),
-            (unnamed, 'no known effect explains; it depends on position', 'Do not rely on'),
+            (unnamed, 'no known effect explains; it depends on “position”', 'Do not rely on'),
             (replace(unnamed, next_experiment=NextExperiment('record steps', 5.0)),
-             'it depends on position', 'yet: record steps.')):
+             'it depends on “position”', 'yet: record steps.')):
         one, two = re.split(r'(?<=\.) (?=[A-Z])', summary(case))
         assert first in one
         assert second in two

@@ -251,7 +251,7 @@ def test_the_model_node_is_told_when_the_model_stops_explaining():
         positions[..., 0] += 2e-6 * np.maximum(times - 10, 0)[:, None]
 
     _, said = spoiled(drift, 16.0)
-    assert any('carried along' in text and 'microbot discover' in text for text in said)
+    assert any('all particles drift' in text and 'microbot discover' in text for text in said)
 
 
 @pytest.mark.parametrize(('offset', 'side'), [(1e4, 'after'), (-1e9, 'before')])

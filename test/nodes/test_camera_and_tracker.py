@@ -76,7 +76,7 @@ def test_what_is_pointed_at_is_followed_and_its_name_reaches_who_comes_later(
         graph.until(lambda: len(taught) > before)
         return taught[-1]
     for frame_id, x, y, reason in (
-            ('camera_pixels', 5.0, 5.0, 'nothing stands out'),
+            ('camera_pixels', 5.0, 5.0, 'nothing is visible'),
             ('camera', 1.0, 1.0, 'expected the frame'),
             ('camera_pixels', math.nan, 5.0, 'expected finite coordinates'),
             ('workspace', math.inf, 0.0, 'expected finite coordinates')):

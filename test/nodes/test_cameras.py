@@ -188,7 +188,7 @@ def test_frames_that_no_file_has_are_lost_too(ros: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(('parameters', 'said'), [
     ({'camera': 'polaroid', 'source': 'x'}, 'expected one of aravis, file'),
-    ({'source': 'TMP', 'gain': 3.0}, 'has no gain to set'),
+    ({'source': 'TMP', 'gain': 3.0}, 'gain cannot be set'),
     ({'source': '/dev/video99', 'exposure_ms': 3.0}, 'expected a camera that delivers frames'),
 ])
 def test_what_cannot_be_is_said_at_the_start(

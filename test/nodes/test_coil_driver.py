@@ -246,7 +246,7 @@ def test_a_second_commander_trips_and_both_are_named(emulator: Any, ros: Any) ->
     try:
         other.create_publisher(Vector3Stamped, '/field/command', 10)
         graph.until(lambda: emulator.zero and not graph.nodes['coil_driver']._driver.gate.armed)
-        assert _fault(graph).startswith('second commander: 2 publish commands: ')
+        assert _fault(graph).startswith('second commander: 2 nodes publish commands: ')
         answer = _arm(graph)
         assert not answer.success
         assert '/elsewhere/intruder and /probe' in answer.message
@@ -443,7 +443,8 @@ def test_the_end_says_where_no_zero_is_confirmed(
     ({'port': 'x', 'current_limit_A': 1.0}, 'current_limit_A: expected at least 1.166 A, which a '
      'field of 5 mT needs with these coils; received 1 A'),
     ({'port': 'x', 'step_limit_A': 2.0}, 'step_limit_A: expected at least 2.332 A'),
-    ({'port': 'x', 'amplifier': 'modbus'}, 'accept_no_watchdog: the amplifier has no watchdog'),
+    ({'port': 'x', 'amplifier': 'modbus'},
+     'accept_no_watchdog: the amplifier has no reliable watchdog'),
     ({'port': 'x', 'amplifier': 'steam'}, "received 'steam'"),
     ({'port': 'x', 'coils_file': '/nowhere/coils.yaml'}, '/nowhere/coils.yaml'),
 ])

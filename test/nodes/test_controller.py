@@ -193,7 +193,7 @@ def test_paths_that_are_none_and_the_border(ros: Any) -> None:
         loop.graph.until(lambda: loop.see() or (loop.fields and said in loop.node.health()[1]))
         assert loop.strength() == 0
 
-    follow([], 'waits for a path')
+    follow([], 'waiting for a path')
     follow([(0.0, 0.0)], 'two different points')
     follow([(0.0, 0.0), (math.nan, 0.0)], 'the path leaves the workspace')
     assert loop.set(controller='open_loop').successful

@@ -6,7 +6,7 @@ import { order } from './messages.js';
 import { clock, known, withUnit } from './numbers.js';
 
 const VERDICTS = {
-  consistent: 'Consistent: nothing is missing.', named: 'Named.', unnamed: 'Unnamed: an effect is missing that is not in the library.',
+  consistent: 'Consistent: no effect was found.', named: 'Named.', unnamed: 'Unnamed: an effect is missing that is not in the library.',
 };
 
 export function discoveryPanel(link) {

@@ -133,17 +133,18 @@ def headline(found: Discovery) -> str:
                 + (f' The residuals are small compared with it, and depend on {_against(found)}.'
                    if found.unexplained else ''))
     if found.verdict == 'consistent':
-        return ('Nothing is missing: the first-order model explains these data down to the noise.'
+        return ('No effect was found: the first-order model explains these data down to the noise.'
                 + (f' There is a hint of {listed(rest)}, too weak to be established.'
                    if rest else '')
                 + (' The residuals do not improve the prediction; they depend on '
                    f'{_against(found)}.'
                    if found.unexplained else ''))
+    learned = dict.fromkeys(one.sentence() for one in found.learned)
     return (f'The data show an effect that is not in the library. It depends on {_against(found)}.'
             + (f' Of what the library has, {listed(rest)} can only stand in for it.'
                if rest else '')
             + (f' Established as well: {told}.' if sure else '')
-            + ''.join(f' {one.sentence()}' for one in found.learned))
+            + ''.join(f' {sentence}' for sentence in learned))
 
 
 def _against(found: Discovery) -> str:

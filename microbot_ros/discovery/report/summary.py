@@ -55,7 +55,7 @@ def _consistent(found: Discovery) -> str:
 
 
 def _unnamed(found: Discovery) -> str:
-    against = listed([m.against for m in found.unexplained[:3]])
+    against = listed([f'“{m.against}”' for m in found.unexplained[:3]])
     then = (found.next_experiment.sentence if found.next_experiment else
             f'look for a cause that depends on {against}')
     return ('Something moves the particles that no known effect explains; it depends on '

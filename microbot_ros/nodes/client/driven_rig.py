@@ -148,7 +148,7 @@ class DrivenRig:
         if not self._armed:
             return f'the gate is disarmed ({self._complaint or "no reason was given"})'
         if self._ending:
-            return 'stopped on request'
+            return 'a stop was requested'
         if self._said.get('result') == 'fault':
             return 'the controller has a fault'
         if math.isfinite(self._seen) and now - self._seen > UNSEEN:
