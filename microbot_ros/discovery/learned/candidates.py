@@ -48,7 +48,7 @@ Choice: step protocols have fewer; a sweep gets evenly spaced knots.
 CELLS = 12
 """Knots along the longer side of the area that the particles covered.
 
-Choice: about 150 knots of place; a finer grid has few data per cell and costs time.
+Choice: up to 225 knots of place; a finer grid has few data per cell and costs time.
 """
 
 TURN = 24
