@@ -98,7 +98,7 @@ Choice: cuts lose hardly any data.
 """
 
 MOVES = 1e-12
-"""Displacement [m] between frames that counts as none. Choice: far below any localisation error."""
+"""Displacement [m] between frames that counts as none. Choice: far below localisation errors."""
 
 COLLINEAR = 1e-7
 """Fraction of a column's power below which v and φ absorb it. Choice: above rounding errors."""
