@@ -268,8 +268,7 @@ class SessionFit:
 
     @cached_property
     def velocity_phasor(self) -> np.ndarray:
-        """Phasor v e^{iφ} (N,) of every track [m/s, rollers m/s/Hz]; 0 where nothing drove it.
-        """
+        """Phasor v e^{iφ} (N,) of every track [m/s, rollers m/s/Hz]; 0 if nothing drove it."""
         solved = solve(self.gram[:, 1:, 1:], self.gram[:, 1:, :1])[..., 0]
         own: np.ndarray = solved[:, 0] + 1j * solved[:, 1]
         return own

@@ -37,11 +37,10 @@ class Mixture(NamedTuple):
 
 
 class PhasorBank:
-    """Kalman filters of (p, c) in dp = c dU + dW + diffusion, z = p + noise; K hypotheses × N
-    particles.
+    """Kalman filters of (p, c) in dp = c dU + dW + diffusion, z = p + noise.
 
     p is the position [m] and c the `velocity_phasor` v e^{iφ} [m/s, for rollers m/s/Hz]; all
-    arrays are (K, N).
+    arrays are (K, N), for K hypotheses and N particles.
 
     All is complex (x + iy) and isotropic, so one particle needs one complex pair. The covariance
     is factorised: `phasor_var` is Var c, `g` the regression of p on c and `p_var` the variance of

@@ -114,7 +114,7 @@ class Monitor:
         self._alarms: dict[str, float] = {}
         self._next = -np.inf
         self._turned = np.array([-np.inf, 0.0])
-        """When the field last turned, and which way."""
+        """Time of the last turn of the field [s], and its sense."""
         self._heading = np.zeros(1, complex)
         self._before: tuple[np.ndarray, np.ndarray] = (np.empty(0, int), np.empty(0, complex))
         self._clear()

@@ -106,12 +106,12 @@ class Population:
         self._phasor_prior_var = phasor_prior_std**2
         self._outliers = np.empty(0, int)
         self._refused, self._begun, self._restless_until = np.empty((3, 0))
-        """When the first of the consecutive outliers came, when the particle was last begun anew,
-        and until when it is restless [s]."""
+        """Times [s] of the first of consecutive outliers, of the last restart, and of the end of
+        restlessness."""
         self.restarts = np.empty(0)
-        """How often in the last CALM seconds it was begun anew, fading."""
+        """Restarts in the last CALM seconds, decaying."""
         self._phasor_mean, self._phasor_power = np.empty(0, complex), np.empty(0)
-        """Mean of c and of |c|² over the last CALM seconds in which it was known, fading."""
+        """Means of c and |c|² over the last CALM seconds in which c was known, decaying."""
         self._next_tick = -np.inf
 
     def track_heading_deviations(self) -> None:

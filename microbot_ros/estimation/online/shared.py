@@ -59,7 +59,7 @@ class SharedKnowledge:
         self._pause = FIRST_REVIEW
         self._t = -np.inf
         self._settled = -np.inf
-        """When most particles were last not restless [s]."""
+        """Last time [s] at which most particles were not restless."""
 
     def forget_model(self) -> None:
         """Drop what was learned under another model, except the noise levels."""

@@ -67,7 +67,7 @@ class Window:
         self._shift = np.zeros(PROBES, complex)
         self._present = np.empty(0, int)
         self._rows: list[tuple[int, int]] = []
-        """Each probe that is there, and its row among those present."""
+        """Each present probe, and its row among the present particles."""
 
     def add(self, t: float, ids: np.ndarray, z: np.ndarray, used: np.ndarray) -> None:
         """Append a frame.
