@@ -29,7 +29,7 @@ Choice: a smaller value uses delays that are not there, a larger one leaves φ w
 """
 
 _FEWEST_STEPS = 10
-"""Smallest number of steps at a frequency for its gain to be compared with others. Choice."""
+"""Fewest steps at a frequency for its gain to be compared. Choice: a gain of fewer says little."""
 _MOST_LEVELS = 60
 """Largest number of frequencies that are levels; more are a continuous drive.
 

@@ -18,7 +18,10 @@ from microbot_ros.common.records import Session
 from microbot_ros.estimation.batch import fit
 
 CLEARLY = 10.0
-"""Log likelihood by which one handedness must exceed the other: odds of 22,000 to 1. Choice."""
+"""Log likelihood by which one handedness must exceed the other.
+
+Choice: odds of 22,000 to 1; less would let commands that hardly turn decide.
+"""
 
 USABLE = 0.5
 """Standard deviation of φ [rad] above which a particle does not contribute. Choice: 29°."""

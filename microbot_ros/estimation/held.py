@@ -16,11 +16,13 @@ Choice: far beyond chance; a larger value finds walls later.
 """
 
 NORMALS = np.exp(2j * np.pi * np.arange(180) / 180)
-"""Directions in which a wall is searched: 2° apart. Choice."""
+"""Directions in which a wall is searched. Choice: 2° apart; more only cost time."""
 
 BORDER, INNER = 1.5, 0.92
 """Half-width of a border, in standard deviations of a step, and the quantile (`INNER`) of places
-along its normal at its middle: beyond is only localisation error. Choice."""
+along its normal at its middle: beyond is only localisation error.
+
+Choice: a wider border contains free particles, a narrower one loses held ones."""
 
 LONG = 0.15
 """Smallest fraction of its steps that a held particle spends at the border.

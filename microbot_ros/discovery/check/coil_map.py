@@ -47,7 +47,7 @@ Choice: odds of 150 to 1.
 """
 
 _BINS = 24
-"""Bins of the command's direction in the figure: 15° each. Choice."""
+"""Bins of the command's direction in the figure. Choice: 15° each, enough for two harmonics."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,10 @@ Choice: from the shortest hold to a usual step of commands, a factor of 3 apart.
 """
 
 FEWEST = 3
-"""Smallest number of switches in a recording from which a common response is tested. Choice."""
+"""Fewest switches in a recording for a test of a common response.
+
+Choice: two may agree by chance.
+"""
 
 
 @dataclass(frozen=True)

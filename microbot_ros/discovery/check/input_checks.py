@@ -26,7 +26,10 @@ Choice: far above what a camera follows under a microscope.
 """
 
 FINEST = 5e-10
-"""Step [m] below which positions cannot be in µm: no microscope resolves it. Choice."""
+"""Step [m] below which positions cannot be in µm: no microscope resolves it.
+
+Choice: half a nanometre; a smaller value accepts positions in mm.
+"""
 
 SLOWEST_FRAMES, FASTEST_FRAMES = 10.0, 1e-4
 """Longest and shortest interval between frames [s] for times in seconds.

@@ -32,8 +32,9 @@ BRIEF, LONG, GROWTH = 10.0, 20.0, 8.0
 """Shortest and longest duration [s] of an experiment (`LONG`), and the ratio (`GROWTH`) of the
 time so far to the duration of the next one.
 
-Choice: each look then has 1/8 more data than the one before; shorter experiments spend more of
-their time on looks, longer ones follow an outdated plan."""
+Each look then has 1/8 more data than the one before. Measured: with experiments of 10 s the first
+name came after 1.8 min instead of 2.2 on seven worlds (docs/decisions/asking.md). Shorter ones
+spend more of their time on looks, longer ones follow an outdated plan."""
 
 SHORTEST = 10.0
 """Remaining time [s] below which no experiment begins: that of the first, BRIEF."""
@@ -44,7 +45,8 @@ THOUGHT = 2.0
 HINTS = 120.0
 """Time [s] for which plans follow only the likeliest explanations until one is named.
 
-Choice: after it they also look for effects that have not shown.
+Measured: such plans had the first name after 1.2 min instead of 1.9 on twelve worlds
+(docs/decisions/asking.md). After it plans also look for effects that have not shown.
 """
 
 SCRUTINY = 300.0

@@ -12,9 +12,11 @@ from microbot_ros.discovery.report.figures import FLOOR, embedded
 from microbot_ros.discovery.report.words import words
 
 _TEMPLATE = Path(__file__).with_name('page.html')
+"""Template of this part of the report."""
 
 _SHOWN = 0.05
-"""Largest probability that an effect must have had at some time to be drawn. Choice."""
+"""Probability that an effect must once have had to be drawn. Choice: more lines hide the likely
+ones."""
 
 _ENDINGS = {
     'settled': 'The question was settled.',

@@ -153,7 +153,8 @@ def marking_time(last: float, strength: float, frequency: float | None = None) -
 
     Swimmers that are left alone swim away while the next plan is computed. The square never turns
     back: a heading that lags behind the field is in balance opposite to it, and chance decides
-    which way it then turns, which no model predicts.
+    which way it then turns, which no model predicts. (To and fro, a second effect was falsely
+    named in 7 of 10 simulated worlds; round the square in none of 12.)
 
     Parameters
     ----------

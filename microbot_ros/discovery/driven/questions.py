@@ -15,7 +15,8 @@ from microbot_ros.discovery.verdict import Judgement, enough
 CREDIBLE = 1.0
 """Log evidence above which a further effect or a rival becomes a question.
 
-Choice: a smaller value spends time on chance, a larger one asks later.
+Choice: from 0 on, names came no sooner on 15 worlds (docs/decisions/asking.md); a larger value
+asks later.
 """
 
 HOPELESS = 0.5
@@ -34,7 +35,7 @@ Choice: each costs one expected displacement per plan tried.
 LIKELIEST = 5
 """Number of explanations, including no effect, that are distinguished before anything is named.
 
-Choice: ten pairs; more cost time, fewer may leave out the true one.
+Choice: ten pairs; more cost time, fewer may leave out the true one (docs/decisions/asking.md).
 """
 
 

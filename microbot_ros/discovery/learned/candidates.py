@@ -63,8 +63,13 @@ Choice: prediction slightly outside the data is smooth, and none is made far out
 _PLAIN: tuple[Against, ...] = (
     'position', 'time', 'time since switch', 'command angle', 'heading', 'field strength',
     'frequency')
+"""Covariates of one particle."""
+
 _HEADING: tuple[ActsOn, ...] = ('speed', 'heading')
+"""What a term in the frame of the heading acts on."""
+
 _RADIAL: tuple[ActsOn, ...] = ('velocity', 'speed')
+"""What a term in the frame of neighbours acts on."""
 
 
 def candidates(fit: ModelFit) -> list[LearnedTerm]:

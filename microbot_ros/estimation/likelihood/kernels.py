@@ -15,6 +15,7 @@ from microbot_ros.common.compiled import numba
 from microbot_ros.model.physics.alignment_kernel import given
 
 _ROWS = (given(types.float64, 1, 'C'), given(types.int64, 2, 'C'))
+"""Types of `times` and `pieces`."""
 
 
 @numba.njit([(*_ROWS, given(kind, 3, 'C'), types.float64)

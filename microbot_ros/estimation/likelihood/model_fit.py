@@ -38,7 +38,9 @@ Choice: a few suffice; it bounds the time where they converge slowly.
 
 SETTLED = 0.05
 """Relative change of an alignment time below which the rows that it explains hardly change.
-Choice."""
+
+Choice: a smaller value costs fits.
+"""
 
 ENOUGH = 0.01
 """Gain in −2 log likelihood at which a search ends: 0.1 standard deviations remain.

@@ -64,6 +64,7 @@ class PhasorBank:
 
     _ARRAYS: ClassVar[tuple[str, ...]] = (
         'p', 'velocity_phasor', 'g', 'p_var', 'phasor_var', 'log_weight')
+    """Names of all arrays (K, N)."""
 
     def __init__(self, hypotheses: int) -> None:
         shape = (hypotheses, 0)

@@ -9,8 +9,10 @@ import numpy as np
 from microbot_ros.common.records import Commands
 
 NEGLIGIBLE = 1e-5
-"""Field [T] below which a command is zero: noise of a read-back, a fifth of the Earth's field.
-Choice."""
+"""Field [T] below which a command is zero: a fifth of the Earth's field.
+
+Choice: above the noise of a read-back, below any field that aligns particles.
+"""
 
 SET_BACK = 1.0
 """Time [s] by which a clock must go back to count as restarted. Choice: above any jitter of

@@ -48,7 +48,7 @@ Choice: a change of 1 % in 100 s is followed; a larger value blurs constant spee
 """
 
 FARTHEST = 1.0
-"""Largest coordinate or σ of a reading [m]: beyond any field of view. Choice."""
+"""Largest coordinate or σ of a reading [m]. Choice: beyond any stage, so only errors exceed it."""
 
 BEST = 0.01
 """Smallest variance of a reading in a frame, relative to that of typical ones.

@@ -27,6 +27,7 @@ class HeadingBank(PhasorBank):
     """
 
     _ARRAYS: ClassVar[tuple[str, ...]] = (*PhasorBank._ARRAYS, 's', 'gs', 'ps', 's_var')
+    """Names of all arrays (K, N)."""
 
     def __init__(self, hypotheses: int) -> None:
         super().__init__(hypotheses)

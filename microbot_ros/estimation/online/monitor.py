@@ -23,7 +23,10 @@ TICK = 0.5
 """Time [s] between evaluations of the stakes. Choice: the delay of an alarm at most."""
 
 BOUND = 10.0 * 3600 / TICK * 20
-"""Sum of stakes that raises an alarm: at most 1 false alarm in 20 times ten hours. Choice."""
+"""Sum of stakes that raises an alarm: at most 1 false alarm in 20 times ten hours.
+
+Choice: an alarm is worth a look; a tenth of the rate delays it by log 10 in evidence.
+"""
 
 HOLD = 30.0
 """Time [s] for which an alarm stays after its last confirmation. Choice: enough to read it."""

@@ -13,7 +13,10 @@ from microbot_ros.estimation.online.bank import Mixture, PhasorBank
 from microbot_ros.estimation.online.heading_bank import HeadingBank
 
 HYPOTHESES = 7
-"""Number of hypotheses: no change, or a change about 0.25, 0.5, 1, 2, 4 or 8 s ago. Choice."""
+"""Number of hypotheses: no change, or a change about 0.25, 0.5, 1, 2, 4 or 8 s ago.
+
+Choice: older changes are part of the state; each costs time in every frame.
+"""
 
 TICK = 0.25
 """Time [s] between moments at which a change of c is considered. Choice: the least age above."""
@@ -36,10 +39,16 @@ moves such a particle. A swimmer that is late after turns is restarted too, but 
 same c. Choice: shorter times forget a restless particle before it is restarted again."""
 
 AGAIN = 1.5
-"""Restarts in CALM seconds, decaying, above which the last was not the only one. Choice."""
+"""Restarts in CALM seconds, decaying, above which the last was not the only one.
+
+Choice: one counts 1, two within 7 s more than 1.5.
+"""
 
 SAME = 1 / 3
-"""Smallest |mean of c|² over the mean of |c|² of a particle that follows the field. Choice."""
+"""Smallest |mean of c|² over the mean of |c|² of a particle that follows the field.
+
+Choice: as of directions spread evenly over ±100°.
+"""
 
 KNOWN = 0.01
 """Fraction of its prior variance below which c is known. Choice: a tenth of the prior's width."""

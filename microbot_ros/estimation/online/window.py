@@ -31,7 +31,10 @@ LEAST = 40
 """Fewest increments for a review. Choice: noise levels are then known to 20 %."""
 
 JUDGED_AFTER = 3.0
-"""Time [s] of data before a review reports what the command does not distinguish. Choice."""
+"""Time [s] of data before a review reports what the command does not distinguish.
+
+Choice: a command of fewer seconds has hardly begun to turn.
+"""
 
 
 @dataclass(frozen=True)
