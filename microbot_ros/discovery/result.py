@@ -35,7 +35,7 @@ WORTH = 0.1
 explanation.
 
 Choice: with it a prediction error is 0.5 % larger than by noise alone, with twice of it 2 %. A
-steady velocity that has λ = 100 after 240 s of particles has a size of 0.45."""
+steady velocity with an expected evidence λ = 100 in 240 s of particles has a size of 0.45."""
 
 UNEVEN = 1.2
 """Ratio of an interval's two sides above which it is written as a range instead of ±.

@@ -48,7 +48,7 @@ Choice: step protocols have fewer; a sweep gets evenly spaced knots.
 CELLS = 12
 """Knots along the longer side of the area that the particles covered.
 
-Choice: about 150 knots of place; a finer grid has few data per cell and costs time.
+Choice: up to 225 knots of place; a finer grid has few data per cell and costs time.
 """
 
 TURN = 24
@@ -63,8 +63,13 @@ Choice: prediction slightly outside the data is smooth, and none is made far out
 _PLAIN: tuple[Against, ...] = (
     'position', 'time', 'time since switch', 'command angle', 'heading', 'field strength',
     'frequency')
+"""Covariates of one particle."""
+
 _HEADING: tuple[ActsOn, ...] = ('speed', 'heading')
+"""What a term in the frame of the heading acts on."""
+
 _RADIAL: tuple[ActsOn, ...] = ('velocity', 'speed')
+"""What a term in the frame of neighbours acts on."""
 
 
 def candidates(fit: ModelFit) -> list[LearnedTerm]:

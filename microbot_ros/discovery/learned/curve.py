@@ -25,7 +25,7 @@ Choice: they carry 1 % of an amplitude at most; a smaller value costs time.
 """
 
 STRENGTHS = 10.0 ** np.arange(0.0, 5.1, 0.5)
-"""Expected λ (twice the log likelihood gained) of the priors that are averaged over.
+"""Expected evidence λ of the priors that are averaged over.
 
 Choice: from not detectable to far above; half a decade apart the evidence varies little.
 """

@@ -27,7 +27,8 @@ FOLDS = 5
 SHORTEST = 2.0
 """Shortest block of rows [s]; every fifth block belongs to one fold.
 
-Choice: longer than usual memories of heading and noise, so that folds are nearly independent.
+Choice: longer than usual memories of heading and noise, so that folds are nearly independent; a
+longer block leaves too few in short recordings.
 """
 
 

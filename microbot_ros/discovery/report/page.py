@@ -33,6 +33,8 @@ from microbot_ros.discovery.verdict import enough
 from microbot_ros.model.effects import EFFECTS
 
 _TEMPLATE = Path(__file__).with_name('report.html')
+"""Template of the report."""
+
 _HASHED = {'.csv', '.yaml', '.mcap', '.db3', '.json'}
 """Suffixes of data files whose SHA-256 the report lists."""
 
