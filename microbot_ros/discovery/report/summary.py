@@ -13,7 +13,18 @@ _LIMITS = 'the table “Looked for and not found”'
 
 
 def summary(found: Discovery) -> str:
-    """Return two sentences on what was `found`: what moves the particles, and what to do."""
+    """Summarise a discovery in two sentences: what moves the particles, and what to do.
+
+    Parameters
+    ----------
+    found : Discovery
+        Result of the search.
+
+    Returns
+    -------
+    str
+        Two sentences, without statistics.
+    """
     return {'named': _named, 'consistent': _consistent, 'unnamed': _unnamed}[found.verdict](found)
 
 
