@@ -37,6 +37,7 @@ html_css_files = ['width.css']
 autodoc_member_order = 'bysource'
 autosummary_generate = False  # the tables lead to the sections below them
 napoleon_google_docstring = False
+napoleon_use_ivar = True
 autodoc_default_options = {'members': True, 'ignore-module-all': True}
 # What drives cameras and policies need not be there to read what a room offers.
 autodoc_mock_imports = ['gi', 'pymmcore', 'pypylon', 'onnxruntime']

@@ -233,7 +233,7 @@ class Gap:
             In µm.
         """
         if not np.isfinite([self.before, self.after, self.floor]).all():
-            return ['The accuracy of the prediction is unknown: no particle is seen long '
+            return ['The accuracy of the prediction is not known: no particle is seen long '
                     f'enough in a held-out part of the recording, {self.horizon:.3g} s at '
                     'least.']
         has_learned = np.isfinite(self.learned)
