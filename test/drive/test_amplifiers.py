@@ -22,6 +22,7 @@ from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,
     PortBusyError,
+    UnreachableError,
     WrongDeviceError,
 )
 
@@ -140,6 +141,30 @@ def test_two_drivers_on_one_port_is_an_error(amplifier, device):
         device.amplifier().connect()
     assert amplifier.close() is Zero.CONFIRMED
     device.amplifier().connect()
+
+
+@pytest.mark.parametrize('protocol', [*MEASURED, 'sabertooth'])
+@pytest.mark.parametrize('sent', range(12))
+def test_a_line_that_takes_nothing_while_connecting_is_named(amplifier, device, sent):
+    """Whichever message it is that no longer goes out; the first one was an AttributeError."""
+    line, taken = device.lines[0], []
+    take = line.take
+
+    def counted(data):
+        taken.append(data)
+        take(data)
+        line.takes = len(taken) < sent
+
+    line.take, line.takes = counted, sent > 0
+    try:
+        amplifier.connect()
+    except UnreachableError as error:
+        assert device.urls[0] in error.url
+        assert len(taken) == sent
+    else:
+        assert len(taken) <= sent  # it needed no more
+        return
+    assert not amplifier._lines
 
 
 @every_protocol
