@@ -443,6 +443,13 @@ def test_the_words_that_zero_the_lines_zero_all_coils(amplifier, device):
     assert device.causes[-1] == 'command'
 
 
+@pytest.mark.parametrize(('ports', 'watchable'), [
+    ('/dev/a,/dev/b,/dev/c,/dev/d', True), ('/dev/a,/dev/b,rfc2217://h:1,/dev/d', False),
+    ('rfc2217://h:1,rfc2217://h:2,rfc2217://h:3,rfc2217://h:4', False)])
+def test_a_sentinel_can_hold_the_lines_only_if_each_has_a_descriptor(ports, watchable):
+    assert amplifier_class('scpi')(ports, FULL_SCALE_A, 4).watchable is watchable
+
+
 @every_protocol
 def test_a_line_that_is_lost_is_an_error(amplifier, device):
     drive(amplifier, device)
