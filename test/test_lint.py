@@ -13,7 +13,7 @@ class Field:
     def __init__(self, strength, angle):
         pass
 
-def shown(field: int, scale: float):
+def shown(field: int, scale: float) -> int:
     """Show it."""
 
 def bare():
@@ -33,11 +33,29 @@ def listed(one, two, *more):
 def test_what_no_docstring_describes_is_named():
     found = {(where.rpartition(': ')[2], what)
              for where, what in lint.complaints(lint.ROOT / 'made.py', ast.parse(MODULE))}
+    section = 'in its Parameters section'
     assert found == {
         ('Field', 'does not describe `angle`'), ('shown', 'does not describe `field`'),
         ('shown', 'does not describe `scale`'), ('bare', 'has no docstring'),
-        *(('listed', f'and its Parameters section differ in `{name}`')
-          for name in ('two', 'other', 'more'))}
+        ('listed', 'has no parameter `other` of its Parameters section'),
+        *((where, f'lacks `{name}` {section}') for where, name in (
+            ('Field', 'strength'), ('Field', 'angle'), ('shown', 'field'), ('shown', 'scale'),
+            ('listed', 'two'), ('listed', 'more'))),
+        ('shown', 'lacks a Returns section')}
+
+
+def test_a_constant_without_an_origin_is_found():
+    text = '''
+"""A module."""
+KNOWN = 1
+"""From a paper."""
+COUNT, _LIMIT = 2, 3
+class Field:
+    STEP: float = 0.1  # measured
+    _ROOM = 7
+Name = int
+'''
+    assert list(lint.unexplained(text)) == ['COUNT', '_ROOM']
 
 
 def test_a_circle_is_found():

@@ -1,4 +1,4 @@
-"""From sessions to a verdict: which effect is missing, how sure that is, what is left."""
+"""Search sessions of one rig for missing effects: the verdict, its certainty and what remains."""
 
 from __future__ import annotations
 
@@ -42,27 +42,55 @@ from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
 
 ONE_SIDED = 1.645
+"""95 % quantile of the standard normal distribution, for one-sided upper limits."""
 
 ALIKE = 0.1
-"""Relative difference between two speeds from which it is remarked: a choice."""
+"""Relative difference of two speeds above which a remark states both.
+
+Choice: a smaller value adds remarks about differences that hardly matter, a larger one hides some
+that a reader of both results would ask about.
+"""
 
 NOTED = 0.02
-"""Fluctuation of a speed, a direction [rad] or a step, and part of a frame interval, from which
-it is remarked: a choice."""
+"""Fluctuation above which a remark states it: of a speed or a step as a fraction, of a direction
+in radians, of the time of a command in frame intervals.
+
+Choice: a smaller value adds remarks on noise that no figure shows, a larger one hides some."""
 
 TRAVELLED = 10e-6
-"""Distance [m] for which it is remarked how much it varies."""
+"""Distance [m] for which a remark states the variation of a step.
+
+Choice: a few diameters of a usual particle; it changes the remark only, not the verdict.
+"""
 
 
 def discover(sessions: Sequence[Session],
              report: Callable[[str], None] = lambda _: None,
              truth: Model | None = None, jobs: int = 1) -> Discovery:
-    """Find, name and prove what the first-order model misses on sessions of one rig.
+    """Find, name and test the effects that the first-order model lacks.
 
-    Sessions share the effects; every session has its own particles and noise. `report` is told
-    what is being done; `truth`, where it is known, is only judged by its gap; `jobs` processes
-    share candidates, maps, blocks and plans. Raises InputError where nothing can be learnt, and
-    says what could.
+    All sessions share the effects. Each session has its own particles and noise.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Recordings of one rig.
+    report : callable, optional
+        Receives one line of progress before each stage.
+    truth : Model, optional
+        The true model of a simulation. Only its prediction gap is computed from it.
+    jobs : int, optional
+        Number of processes that share candidates, residual maps, held-out blocks and plans.
+
+    Returns
+    -------
+    Discovery
+        Verdict, effects, prediction gap, limits and the next experiment, in SI units.
+
+    Raises
+    ------
+    InputError
+        If nothing can be learnt from the sessions; the message says what could be recorded.
     """
     prepared, remarks = check_sessions(sessions)
     run: Run = partial(in_processes, jobs=jobs) if jobs > 1 else serially
@@ -119,7 +147,7 @@ def discover(sessions: Sequence[Session],
 
 @dataclass(frozen=True)
 class _Terms:
-    """Terms that were learned: the `findings`, the `fit` with them, and its log `evidence`."""
+    """Learned terms: the `findings`, the `fit` with them, and its log `evidence`."""
 
     findings: tuple[Finding, ...]
     fit: ModelFit
@@ -127,7 +155,7 @@ class _Terms:
 
     @classmethod
     def of(cls, findings: tuple[Finding, ...], rest: ModelFit, evidence: float) -> _Terms:
-        """Beside a `rest`, of log `evidence` over the first-order model on the same rows."""
+        """Add `findings` to a fit `rest`, with log `evidence` over the first-order model."""
         fit = with_terms(rest, findings)
         gained = fit.log_likelihood - rest.log_likelihood
         return cls(findings, fit, evidence + gained - sum(
@@ -135,9 +163,9 @@ class _Terms:
 
 
 def _learned(known: Hypotheses, report: Callable[[str], None]) -> _Terms | None:
-    """Terms for what no effect explains: beside the effects that were found, or beside none.
+    """Return learned terms beside the effects that were found, or without these: the likelier.
 
-    Whichever the data make likelier, since effects that stand in for something are in its way.
+    Effects that stand in for an unknown cause hide it, so both fits are tried.
     """
     beside = [(known.start, 0.0)]
     if known.slots:
@@ -148,14 +176,14 @@ def _learned(known: Hypotheses, report: Callable[[str], None]) -> _Terms | None:
 
 
 def _told(learned: _Terms) -> tuple[Learned, ...]:
-    """What was `learned`, and what is left with all of it."""
+    """Return the learned terms, each with the covariates that still show structure."""
     left = tuple(m.against for m in _worst(m for m in residual_maps(learned.fit) if m.fires))
     return tuple(Learned(found.term, looks_like(found), found.log_evidence, found.odds, left)
                  for found in learned.findings)
 
 
 def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
-    """One map against each covariate, the least likely by chance first."""
+    """Return one map per covariate, sorted by p-value."""
     found: dict[str, ResidualMap] = {}
     for one in sorted(maps, key=lambda m: m.p_value):
         found.setdefault(one.against, one)
@@ -179,13 +207,13 @@ def _reservations(known: Hypotheses, judgement: Judgement) -> list[str]:
 
 
 def _not_thermal(fit: ModelFit) -> list[str]:
-    """What D of each session does not agree with."""
+    """Return a sentence for each session whose D differs from its expected thermal value."""
     return [f'{p.session.name}: {one}.' for p in fit.session_fits
             for one in implausible_diffusion(p.session.conditions, p.noise())]
 
 
 def _unsteady(fit: ModelFit) -> list[str]:
-    """Return how velocities of each session fluctuate: part of the noise, not an effect."""
+    """Return a sentence per session on fluctuations of velocity, which are part of the noise."""
     told = []
     for p in fit.session_fits:
         if p.whitening.fluctuation is None:
@@ -207,7 +235,7 @@ def _unsteady(fit: ModelFit) -> list[str]:
 
 
 def _unlike_fit(start: ModelFit, fit: ModelFit) -> list[str]:
-    """Return why speeds are not those of `microbot fit`, where they differ by more than ALIKE."""
+    """Return why speeds differ from those of `microbot fit`; empty up to a difference of ALIKE."""
     before, after = (np.concatenate([
         np.abs(p.velocity_phasor[p.session.main]) for p in one.session_fits])
         for one in (start, fit))
@@ -222,7 +250,7 @@ def _unlike_fit(start: ModelFit, fit: ModelFit) -> list[str]:
 
 
 def _beyond_commands(fit: ModelFit) -> list[str]:
-    """Return which corners of a drive response lie outside the frequencies that were commanded."""
+    """Return the corner frequencies of drive responses outside the commanded frequencies."""
     used = FitEvidence(fit).frequencies
     driven = used[used > 0]
     told = []
@@ -241,7 +269,7 @@ def _beyond_commands(fit: ModelFit) -> list[str]:
 
 
 def _confounded(fit: ModelFit) -> list[str]:
-    """What φ can't be told from under the commands."""
+    """Return which effects the commands do not let one tell from φ."""
     evidence = FitEvidence(fit)
     late = [name for name, effect in EFFECTS.items() if effect.absorbed_by_phi(evidence)]
     if not late:
@@ -251,7 +279,7 @@ def _confounded(fit: ModelFit) -> list[str]:
 
 
 def _deviations(fit: ModelFit, name: str) -> list[tuple[Parameter, float, float]]:
-    """The parameters of an effect with value and standard deviation in fit coordinates."""
+    """Return the parameters of an effect with value and standard deviation in fit coordinates."""
     std = np.sqrt(np.diag(fit.covariance))
     return [
         (parameter, float(x), float(s))
@@ -262,7 +290,7 @@ def _deviations(fit: ModelFit, name: str) -> list[tuple[Parameter, float, float]
 
 
 def _limits(one: Candidate) -> list[Limit]:
-    """How large the strengths of an effect that is not supported may still be."""
+    """Return 95 % upper limits of the strengths of an effect that is not supported."""
     limits = []
     for parameter, x, std in _deviations(one.found.fit, one.id):
         if not parameter.shape:
@@ -274,7 +302,7 @@ def _limits(one: Candidate) -> list[Limit]:
 
 
 def _particle_parameters(fit: ModelFit) -> ParticleParameters:
-    """The particles of the last session."""
+    """Return the parameters of the particles of the last session."""
     last = fit.session_fits[-1]
     main = last.session.main
     return ParticleParameters.from_velocity_phasor(

@@ -1,4 +1,4 @@
-"""What effects may ask of a fit: the one `Evidence` there is."""
+"""What an effect may query about a fit: the implementation of `Evidence`."""
 
 from __future__ import annotations
 
@@ -16,21 +16,33 @@ from microbot_ros.model.model import Propulsion
 from microbot_ros.session.tables.folder import NOMINAL_FIELD
 
 COARSE = (0.3, 2.0, 10.0)
-"""Fit coordinates, both signs, from which effects of one parameter may start."""
+"""Fit coordinates, of both signs, at which an effect of one parameter is tried as a start.
+
+Choice: the fit converges from within a factor of about 3; more starts cost one fit each.
+"""
 
 ABSORBED = 0.05
-"""Part of its information below which an effect can't be told from φ."""
+"""Fraction of an effect's information that must remain beside φ for the effect to be identifiable.
+
+Choice: a smaller value fits effects that φ absorbs, a larger one excludes weak but visible ones.
+"""
 
 TRIED = 3
-"""Starting points worth a full fit."""
+"""Number of starting points from which a full fit is made.
+
+Choice: one fit more per effect for each; with fewer a local maximum may be returned.
+"""
 
 NEGLIGIBLE = 8.0
-"""Likelihood ratio below which neither better noise nor a better place makes evidence."""
+"""Likelihood ratio below which neither refitted noise nor another place can make an effect likely.
+
+Choice: far below the ratio that names an effect; a larger value saves fits, and may miss some.
+"""
 
 
 @dataclass(frozen=True)
 class FitEvidence(Evidence):
-    """The recordings of a `fit` and what it leaves of them."""
+    """Recordings and residuals of a `fit`, as effects query them."""
 
     fit: ModelFit
 
@@ -65,7 +77,7 @@ class FitEvidence(Evidence):
         return any(len(p.session.ids) > 1 for p in self.fit.session_fits)
 
     def absorbs(self, little: Effect, beside: Sequence[Effect] = ()) -> bool:
-        # What is left of it then shows in the likelihood only through what else is wrong.
+        # Otherwise other errors of the model would decide about the rest of its information.
         bare = ModelFit(replace(self.fit.model, effects=()), self.fit.session_fits)
         model = bare.model
         for effect in (*beside, little):
@@ -93,7 +105,7 @@ class FitEvidence(Evidence):
         return [*starts, coarse[best]] if costs[best] < self.fit.cost + 20 else starts
 
     def swings(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of the white residuals of the longest session, summed over particles."""
+        """Return the periodogram of the longest session's residuals, summed over particles."""
         longest = max(self.fit.session_fits, key=lambda p: float(np.ptp(p.session.times)))
         return rotating_components(
             longest.session.times, longest.residual.sum(axis=1), self.fastest)
@@ -105,8 +117,9 @@ class FitEvidence(Evidence):
     def promising(self, starts: Iterable[AnyEffect],
                   price: Callable[[AnyEffect], float] = lambda _: 0.0,
                   ) -> Sequence[AnyEffect]:
-        """The best of `starts`, less their `price`, and others not far behind one that is worth
-        anything.
+        """Return the starts of the largest score, less their `price`.
+
+        At most TRIED: the best, and those above both NEGLIGIBLE and half of the best score.
         """
         scored = []
         for start in starts:
@@ -118,7 +131,7 @@ class FitEvidence(Evidence):
                 if score == best or score > max(NEGLIGIBLE, best / 2)]
 
     def _with_best_strength(self, start: AnyEffect) -> tuple[float, AnyEffect]:
-        """The evidence for a start whose one strength is linear, and it with that strength."""
+        """Return a start with its best strength, in which the drift is linear, after its score."""
         strength = next(p for p in start.parameters() if not p.shape)
         unit = replace(start, **{strength.field: strength.from_fit(1.0)})
         model = self.fit.model.with_effect(unit)
@@ -142,7 +155,7 @@ class FitEvidence(Evidence):
 
 
 def _strength_unknown(session: PreparedSession) -> bool:
-    """Whether only the direction of a rolling field was told, not its strength."""
+    """Return whether the recording of a rolling field has its direction only, not its strength."""
     if session.commands.frequency is None or session.conditions.reference_field:
         return False
     strength = np.hypot(*session.commands.field.T)

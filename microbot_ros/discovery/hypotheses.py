@@ -1,21 +1,20 @@
-"""What could still be: models on what was seen so far, and how the odds between them stand.
+"""Models that may explain the recordings so far, and the odds between them.
 
-The evidence for an effect is a Bayes factor against the model without it. v, φ and D of both have
-the same flat prior and are taken at their maximum (`estimation.likelihood`). The effect's
-strengths x, in fit coordinates, are normal about nothing with a standard deviation s that is
-itself not known: in the range that the effect declares (`Effect.prior`), all orders of magnitude
-alike. With x̂ the maximum, H its information beside all that
-is fitted besides and LR the likelihood ratio, the integral over x (Laplace's method, exact where
-x acts linearly) gives for each s
+The evidence for an effect is a Bayes factor against the model without it. v, φ and D of both
+models have the same flat prior and are taken at their maximum (`estimation.likelihood`). The
+effect's strengths x, in fit coordinates, have a normal prior of mean 0. Its standard deviation s
+is unknown: log-uniform in the range that the effect declares (`Effect.prior`). With x̂ the
+maximum, H the information on x beside all other fitted parameters and LR the likelihood ratio, the
+integral over x (Laplace's method, exact where x acts linearly) gives for each s
 
     log B = ½ LR − ½ log |1 + s² H| − ½ x̂ᵀ H (1 + s² H)⁻¹ x̂.
 
-A shape (a place, a width, a frequency) is spread evenly over the independent ones it was looked
-for at, `Effect.trials`, and within each over a peak that is narrower the more it rises:
-− log(trials) − ½ d log(1 + LR) for d numbers.
+A shape (a place, a width, a frequency) has a uniform prior over the independent values at which it
+was tried, `Effect.trials`. Within each, the posterior is a peak that narrows as it rises, which
+costs − log(trials) − ½ d log(1 + LR) for d shape parameters.
 
-Where headings remember noise and no radius tells their rotational diffusion, it is fitted too and
-pays for that (`ModelFit.price_of_turning`).
+Where headings have memory and no radius fixes their rotational diffusion, this is fitted too, at a
+cost in log odds (`ModelFit.price_of_turning`).
 """
 
 from __future__ import annotations
@@ -41,80 +40,137 @@ from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 
 FALSE = 0.01
-"""Chance of a name where nothing is missing, and of a name in place of a rival."""
+"""Target probability of a name where nothing is missing, and of a name in place of a rival.
+
+Choice: half of it needs 0.7 more log evidence for every name, twice of it 0.7 less.
+"""
 
 RIVAL = float(np.log(1 / FALSE))
-"""Log odds against each rival from which a name is alone."""
+"""Log odds against each rival above which a name is the only one, from FALSE."""
 
 PER_DECADE = 2
-"""Standard deviations of a prior that are averaged over, for each order of magnitude: a choice."""
+"""Standard deviations of a prior per decade over which the evidence is averaged.
+
+Choice: the evidence varies slowly with the standard deviation; more only cost time.
+"""
 
 FEW = 2
-"""Effects beside which speeds are first looked at: what stands in for speeds that fluctuate comes
-after what is there, as a rule."""
+"""Number of effects in the model before fluctuating speeds are first considered.
+
+Choice: with fewer, fluctuations of speed may explain an effect that is not in the model yet; with
+more, effects may enter that only stand in for fluctuations.
+"""
 
 MOST = 5
-"""Effects in a model. Rollers on a rig need a delay, a ratio of coils, a dead band, a response to
-the drive and a drift. With 3 one or two of these stay unexplained and make the verdict `unnamed`.
+"""Maximum number of effects in a model.
+
+Rollers on a rig need a delay, a ratio of coils, a dead band, a response to the drive and a drift.
+With 3, one or two of these remain unexplained and make the verdict `unnamed`.
 """
 
 WORTH = 1.0
-"""Gain in log odds from which an effect is taken into the model, to look on beside it."""
+"""Log odds that an effect must add to be taken into the model.
+
+Choice: a smaller value adds effects that the next step drops again, a larger one stops early.
+"""
 
 LIKELIER = 0.5
-"""Log odds by which a rival must be ahead, to take an effect's place: twins stay where they are.
+"""Log odds by which a rival must lead to replace an effect, so that equal ones do not alternate.
+
+Choice: far below RIVAL, so that no name depends on it.
 """
 
 CLEARLY = 3.0
-"""The same for a rival whose shape was not seen."""
+"""LIKELIER for a rival whose shape the recording does not show.
+
+Choice: a smaller value replaces effects by the flank of a wider shape, a larger one keeps some
+that are wrong.
+"""
 
 
 UNLIKELY = 0.01
-"""Probability below which another model does not widen an interval: a choice. What differs by two
-standard deviations would widen it by 2 %, with twice of it by 4 %."""
+"""Probability below which another model does not widen an interval.
+
+Choice: a parameter that differs by two standard deviations would widen the interval by 2 %, with
+twice this value by 4 %.
+"""
 
 LOOKS = 4 * MOST
-"""Models that a search looks at, at most: twice as many as it takes to add each effect and to
-exchange it once."""
+"""Maximum number of models that a search visits.
+
+Choice: twice the number needed to add each effect and to exchange it once.
+"""
 
 REPEATED = 0.02
-"""Relative difference of parameters, or part of their typical size, up to which a model with the
-same effects is the same: a choice. A lag leaves out other rows than one that is shorter by a
-third, so that the same set of effects may be better when it comes again."""
+"""Difference of parameters, relative or as a fraction of their typical size, up to which two
+models with the same effects are the same.
+
+Choice: a lag excludes other rows than one that is a third shorter, so the same set of effects may
+be better on its second visit."""
 
 
 def likelier_than_not() -> float:
-    """Log evidence from which an effect, any of the library, is rather there than not."""
+    """Return the log Bayes factor at which an effect is as likely as not, given the whole library.
+
+    Returns
+    -------
+    float
+        Natural log of the number of effects in the library.
+    """
     return float(np.log(len(EFFECTS)))
 
 
 def log_bayes_factor(found: CandidateFit, wider: float = 1.0) -> float:
     """Return the natural log of the Bayes factor for an effect, against the fit without it.
 
-    The prior of its strengths is `wider` by a factor than the effect declares it.
+    Parameters
+    ----------
+    found : CandidateFit
+        Fit with the effect, and its likelihood ratio.
+    wider : float, optional
+        Factor on the standard deviation of the prior that the effect declares.
+
+    Returns
+    -------
+    float
+        Log Bayes factor, less the cost of a shape and of a freed rotational diffusion.
     """
     return _log_evidence(found.fit, [found.id], found.likelihood_ratio, wider) - _price(found)
 
 
 def joint_log_bayes_factor(fit: ModelFit, rest: ModelFit, found: Sequence[CandidateFit]) -> float:
-    """Return the natural log of the Bayes factor for all effects `found` together.
+    """Return the natural log of the Bayes factor for several effects together.
 
-    Those that a `fit` has and the `rest` has not. Where effects explain the same, the odds of
-    each beside the others say too little of all of them, and multiplied they say too much.
+    Where effects explain the same data, the odds of each beside the others understate the odds of
+    all, and their product overstates them.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit with the effects.
+    rest : ModelFit
+        Fit of the same rows without them.
+    found : sequence of CandidateFit
+        The effects by which the fits differ.
+
+    Returns
+    -------
+    float
+        Log Bayes factor, less the cost of shapes and of freed rotational diffusions.
     """
     return (_log_evidence(fit, [one.id for one in found], rest.cost - fit.cost)
             - sum(map(_price, found)))
 
 
 def _widths(name: str) -> np.ndarray:
-    """Standard deviations (S,) of the prior of an effect's strengths, in fit coordinates."""
+    """Return the prior standard deviations (S,) of an effect's strengths, in fit coordinates."""
     low, high = EFFECTS[name].prior
     return np.geomspace(low, high, 1 + round(PER_DECADE * np.log10(high / low)))
 
 
 def _log_evidence(fit: ModelFit, names: Sequence[str], likelihood_ratio: float,
                   wider: float = 1.0) -> float:
-    """Log of the likelihood ratio averaged over strengths of the effects `names` of a `fit`."""
+    """Return the log of the likelihood ratio averaged over the strengths of effects `names`."""
     information, _, visible = fit.normal
     parameters = fit.model.parameters
     own = np.array([name in names and not p.shape for name, p in parameters]) & visible
@@ -135,8 +191,7 @@ def _log_evidence(fit: ModelFit, names: Sequence[str], likelihood_ratio: float,
 
 
 def _price(found: CandidateFit) -> float:
-    """Return what the choice of a shape costs, and a rotational diffusion that is freed with it.
-    """
+    """Return the cost in log odds of a shape, and of a rotational diffusion freed with it."""
     shapes = sum(p.shape for p in EFFECTS[found.id].parameters())
     return found.price_of_turning + float(
         np.log(found.trials) + shapes / 2 * np.log1p(max(found.likelihood_ratio, 0.0)))
@@ -144,27 +199,45 @@ def _price(found: CandidateFit) -> float:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A fit with an effect, `found`, and its `evidence`: the log Bayes factor for it."""
+    """A fit with an effect, `found`, and its `evidence`: the log Bayes factor for the effect."""
 
     found: CandidateFit
     evidence: float
 
     @classmethod
     def of(cls, found: CandidateFit) -> Candidate:
-        """With the evidence of what was `found`."""
+        """Compute the evidence of a fit.
+
+        Parameters
+        ----------
+        found : CandidateFit
+            Fit with the effect.
+
+        Returns
+        -------
+        Candidate
+            The fit with its log Bayes factor.
+        """
         return cls(found, log_bayes_factor(found))
 
     @property
     def id(self) -> str:
-        """The effect's name."""
+        """Name of the effect."""
         return self.found.id
 
 
 @dataclass(frozen=True)
 class Slot:
-    """An effect of the model, `own`, and what could stand in its place, the `rivals`.
+    """An effect of the model and the effects that may replace it.
 
-    All of them beside the same `rest`, the model's other effects: the likeliest first.
+    Attributes
+    ----------
+    rest : ModelFit
+        Fit of the model's other effects.
+    own : Candidate
+        The effect, beside `rest`.
+    rivals : tuple of Candidate
+        Other effects beside `rest`, largest evidence first.
     """
 
     rest: ModelFit
@@ -172,11 +245,22 @@ class Slot:
     rivals: tuple[Candidate, ...]
 
     def behind(self, rival: Candidate) -> float:
-        """By how much log evidence a `rival` is behind; infinite if it is none.
+        """Return by how much log evidence a rival is behind the effect.
 
-        The flank of a wide spot explains whatever a drift does. So one with more numbers than the
-        effect has, or without a shape that shows, is a rival only where it explains more by these
-        numbers, or is likelier, or where the effect depends on place itself.
+        The flank of a wide spot explains whatever a drift explains. A rival with more parameters,
+        or with a shape that the recording does not show, therefore counts in three cases only: it
+        explains more by these parameters, it is likelier, or the effect depends on place itself.
+
+        Parameters
+        ----------
+        rival : Candidate
+            One of `rivals`.
+
+        Returns
+        -------
+        float
+            Difference of log evidence, negative if the rival is likelier; infinite if it does not
+            count.
         """
         behind = self.own.evidence - rival.evidence
         own, other = self.own.found, rival.found
@@ -187,17 +271,24 @@ class Slot:
 
     @property
     def within_reach(self) -> tuple[Candidate, ...]:
-        """The rivals that the effect can't be told from."""
+        """Rivals from which the data do not distinguish the effect: less than RIVAL behind."""
         return tuple(one for one in self.rivals if self.behind(one) < RIVAL)
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """What could be behind what was seen so far.
+    """Models that may explain the recordings so far.
 
-    `start`: the fit of the first-order model; `fit` of the model that is taken for now, which may
-    be without an effect; a slot for each of its effects; `more`: what could be there besides, the
-    likeliest first.
+    Attributes
+    ----------
+    start : ModelFit
+        Fit of the first-order model.
+    fit : ModelFit
+        Fit of the current model, which may have no effect.
+    slots : tuple of Slot
+        One for each effect of the current model.
+    more : tuple of Candidate
+        Effects that the model might have besides, largest evidence first.
     """
 
     start: ModelFit
@@ -208,19 +299,34 @@ class Hypotheses:
 
     def term_beside(self, fit: ModelFit,
                     report: Callable[[str], None] = lambda _: None) -> Finding | None:
-        """Return the term that is learned beside a `fit`; it is looked for once.
+        """Return the term that is learned beside a fit. It is computed once for each fit.
 
-        `report` is told what is being done.
+        Parameters
+        ----------
+        fit : ModelFit
+            Fit whose residuals are searched.
+        report : callable, optional
+            Receives one line of progress.
+
+        Returns
+        -------
+        Finding or None
+            The likeliest term; None if none is likelier than no term.
         """
         if id(fit) not in self._terms:
             self._terms[id(fit)] = fit, learn_term(fit, report)
         return self._terms[id(fit)][1]
 
     def within_reach(self) -> list[tuple[ModelFit, float]]:
-        """Return other models that may be true, each with its probability, from UNLIKELY on.
+        """Return the other models that may be true.
 
-        The model without one of its effects, with a rival in its place, or with one effect more
-        that is rather there than not.
+        These are the model without one of its effects, with a rival in its place, or with one more
+        effect that is likelier than not.
+
+        Returns
+        -------
+        list of (ModelFit, float)
+            Each model with its probability, above UNLIKELY.
         """
         price = likelier_than_not()
         others = [(slot.rest, price - slot.own.evidence) for slot in self.slots]
@@ -234,31 +340,36 @@ class Hypotheses:
 
     @property
     def credible(self) -> frozenset[str]:
-        """Every effect that is rather there than not, beside any of the models."""
+        """Names of all effects that are likelier than not, beside any of the models."""
         return frozenset(self.names) | {
             one.id for group in (self.more, *(slot.rivals for slot in self.slots))
             for one in group if one.evidence > likelier_than_not()}
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The effects of the model that is taken for now."""
+        """Names of the effects of the current model."""
         return tuple(slot.own.id for slot in self.slots)
 
     @property
     def evidence(self) -> float:
-        """Log odds for all effects of the model together, the choice among the library paid."""
+        """Log odds for all effects of the model together, less the cost of their choice."""
         if not self.slots:
             return 0.0
-        # On the same rows: what a lag can't explain is left out.
+        # On the same rows, since a lag excludes rows that it cannot explain.
         rest = fit_with_noise(self.fit.under(self.start.model))
         return joint_log_bayes_factor(self.fit, rest, [s.own.found for s in self.slots]) - (
             len(self.slots) * likelier_than_not())
 
     def odds(self) -> dict[str, float]:
-        """The probability of each effect of the library to be there, and of none ('').
+        """Return the probability of each effect of the library, and of no effect.
 
-        Where effects compete for a place these add up to 1 with that of nothing in it, which
-        counts as much as all of them together before anything was seen.
+        The probabilities of effects that compete for one slot, and of no effect in it, add up to
+        1. No effect has the prior weight of all of them together.
+
+        Returns
+        -------
+        dict of str to float
+            Probabilities by name of the effect; that of no effect under ''.
         """
         none = np.log(max(len(self.more) + len(self.slots), 1))
         result: dict[str, float] = {}
@@ -275,15 +386,40 @@ class Hypotheses:
 
 
 def fit_first_order(sessions: Sequence[PreparedSession]) -> ModelFit:
-    """Return the fit of the first-order model to `sessions` of one rig."""
+    """Return the fit of the first-order model to sessions of one rig.
+
+    Parameters
+    ----------
+    sessions : sequence of PreparedSession
+        At least one; the first determines propulsion and reference field.
+
+    Returns
+    -------
+    ModelFit
+        Fit without effects.
+    """
     return fit_sessions(Model.baseline(sessions[0].conditions, sessions[0].commands), sessions)
 
 
 def add_effects(fit: ModelFit, sessions: Sequence[PreparedSession],
                 names: Iterable[str]) -> ModelFit:
-    """Return the fit to `sessions` with the effects among `names` that are added beside a `fit`.
+    """Add the effects that the data support to a fit, one after the other.
 
-    As `consider` adds them, one after the other, without a look at what could be in their place.
+    As `consider` adds them, without a search for rivals.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit to begin with.
+    sessions : sequence of PreparedSession
+        Sessions to which each model is fitted.
+    names : iterable of str
+        Effects that may be added.
+
+    Returns
+    -------
+    ModelFit
+        Fit with at most MOST effects.
     """
     while len(fit.model.effects) < MOST:
         likely = [one for one in _others(fit, serially, names) if _is_worth_adding(one)]
@@ -300,19 +436,33 @@ def _is_worth_adding(one: Candidate) -> bool:
 def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
              report: Callable[[str], None] = lambda _: None,
              run: Run = serially) -> Hypotheses:
-    """Return the hypotheses on `sessions` of one rig, which share the effects.
+    """Search for the effects that the data support, and for their rivals.
 
-    Effects are added while the odds are for them, dropped where they are not any more, and
-    exchanged for rivals that became likelier, from the effects `taken` at a look before on. The
-    search ends where a set of effects would come again, with the likeliest that was visited. Where
-    the model that is found leaves velocities that fluctuate, the search goes on from it with these
-    in the noise of all fits.
-    `report` is told what is being done; `run` shares the candidates.
+    Effects are added while the odds favour them, dropped when the odds no longer do, and exchanged
+    for rivals that became likelier. The search ends when a set of effects repeats, and returns the
+    likeliest model that it visited. If that model leaves fluctuating velocities, the search
+    continues from it with these in the noise of all fits.
+
+    Parameters
+    ----------
+    sessions : sequence of PreparedSession
+        Sessions of one rig, which share the effects.
+    taken : sequence of str, optional
+        Effects of an earlier search, from which this one starts.
+    report : callable, optional
+        Receives one line of progress for each model.
+    run : Run, optional
+        Distributes the candidates.
+
+    Returns
+    -------
+    Hypotheses
+        Current model, rivals and further candidates.
     """
     known = _search(sessions, taken, FEW, report, run)
     plain = known.fit
     for effect in plain.model.effects:
-        if effect.overrides('alignment_rate'):  # a filter has room for one memory
+        if effect.overrides('alignment_rate'):  # the noise filter has only one memory
             plain = without(plain, effect.id)
     restless = unsteady(sessions, plain, known.fit)
     if restless is None:
@@ -324,7 +474,7 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
 
 def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int,
             report: Callable[[str], None], run: Run) -> Hypotheses:
-    """Return the hypotheses on `sessions`, of `most` effects, as for `consider`."""
+    """Return the hypotheses on `sessions` with at most `most` effects, as `consider` does."""
     start = fit = fit_first_order(sessions)
     for name in taken:
         again = [one for one in _candidates(fit, [name], run) if one.evidence > 0]
@@ -349,7 +499,7 @@ def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int
 
 
 def _likeliest(looked: Sequence[Hypotheses]) -> Hypotheses:
-    """Return the hypotheses of the largest evidence, of those whose effects are all possible."""
+    """Return the hypotheses of the largest evidence among those whose effects are all possible."""
     possible = [one for one in looked if all(_possible(slot.own.found) for slot in one.slots)]
     return max(possible or looked, key=lambda one: one.evidence)
 
@@ -379,10 +529,10 @@ def _slots(fit: ModelFit, run: Run) -> tuple[Slot, ...]:
 
 
 def _exchange(slots: Sequence[Slot], visited: Sequence[tuple[str, ...]]) -> Model | None:
-    """The model with an effect less that is not worth it, or with a likelier rival in its place.
+    """Return the model without an unsupported effect, or with a likelier rival in its place.
 
-    No rival that leads to a set of effects that was `visited`: two that are each likelier than the
-    other, beside the noise of the other, may both be there.
+    A rival that leads to a set of effects in `visited` is skipped: two effects that are each
+    likelier than the other, beside the other's noise, may both be present.
     """
     for slot in slots:
         if slot.own.evidence < likelier_than_not() or not _possible(slot.own.found):
@@ -398,12 +548,14 @@ def _exchange(slots: Sequence[Slot], visited: Sequence[tuple[str, ...]]) -> Mode
 
 
 def _candidates(fit: ModelFit, names: Iterable[str], run: Run) -> tuple[Candidate, ...]:
-    """What could be there beside a `fit`, among `names`, the likeliest first."""
+    """Return the candidates among `names` beside a `fit`, largest evidence first."""
     found = (Candidate.of(one) for one in search(fit, names, run) if _possible(one))
     return tuple(sorted(found, key=lambda one: -one.evidence))
 
 
 def _possible(found: CandidateFit) -> bool:
-    """Whether an effect without a shape is inside its physical bounds: at one it is another thing.
+    """Return whether an effect without a shape lies inside its physical bounds.
+
+    On a bound it stands in for another cause.
     """
     return found.has_shape or found.shape_seen

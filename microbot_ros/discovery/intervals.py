@@ -1,12 +1,11 @@
-"""95 % intervals of everything that is published: by curvature, by profile where that is bent.
+"""95 % intervals of all published estimates, by curvature or by profile likelihood.
 
-What selection leaves open widens them: where other models are within reach, the spread of what
-they say, by their probabilities, is added to the variance (Hoeting et al. 1999).
+Model selection widens them: where other models are possible, the spread of their estimates,
+weighted by probability, is added to the variance (Hoeting et al. 1999).
 
-An effect whose likelihood is no parabola, like a field scale far above the fields that were used,
-drags v and φ along. Then its interval ends where the profile likelihood has fallen by χ²/2
-(Venzon and Moolgavkar 1988), and that of v holds all that is within it of any point of the
-profile.
+An effect whose likelihood is not a parabola, such as a field scale far above the fields in use,
+shifts v and φ with it. Its interval ends where the profile likelihood has fallen by χ²/2 (Venzon
+and Moolgavkar 1988). That of v contains the intervals at all points of the profile.
 """
 
 from __future__ import annotations
@@ -24,27 +23,38 @@ from microbot_ros.estimation.likelihood.phasor import Polar
 from microbot_ros.model.parameter import Parameter
 
 ROOT = 1.96
-"""Square root of twice the fall in log likelihood at the ends of an interval."""
+"""Square root of twice the fall in log likelihood at the ends of a 95 % interval: √χ²(0.95, 1)."""
 
 BENT = 0.1
-"""Part of an interval's width by which its end may be off before the profile is followed."""
+"""Error of an interval's end, as a fraction of its half-width, above which the profile is
+computed.
+
+Choice: half of it computes profiles, of some ten fits each, for intervals that hardly change."""
 
 FURTHEST, TRIED = 4.0, 5
-"""How far beyond the last point of a profile the next may lie, in its distance; and how many."""
+"""Largest and smallest ratio of distances of successive points of a profile, and the most points
+tried per side (`TRIED`).
+
+Choice: larger steps may leave the region where a fit converges; fewer points may not reach the
+end, more cost one fit each."""
 
 STEPS = 5
-"""Steps in which the other parameters follow one that is held."""
+"""Maximum number of steps in which the other parameters follow a held one.
+
+Choice: neighbouring points of a profile start close to their maximum.
+"""
 
 GRID = 200
-"""Points that a profile is interpolated at."""
+"""Points at which a profile is interpolated. Choice: 0.02 standard deviations apart, far below
+BENT."""
 
 
 @dataclass(frozen=True)
 class _Profile:
-    """Fits with one parameter held, by ascending coordinate `x` (K,), `root` (K,) of the fall.
+    """Fits with one parameter held, in ascending order of its coordinate `x` (K,).
 
-    Signed, 0 at the maximum; `polars` of session s at point k are `polars[k][s]`, without what is
-    not known of the parameter itself.
+    `root` (K,) is the signed square root of twice the fall in log likelihood, 0 at the maximum.
+    `polars[k][s]` belong to session s at point k, without the uncertainty of the parameter itself.
     """
 
     x: np.ndarray
@@ -52,12 +62,12 @@ class _Profile:
     polars: list[list[Polar]]
 
     def ends(self) -> tuple[float, float]:
-        """Fit coordinates at both ends of the interval, or the bounds of the parameter."""
+        """Return the ends of the interval in fit coordinates, or the bounds of the parameter."""
         low, high = np.interp([-ROOT, ROOT], self.root, self.x)
         return float(low), float(high)
 
     def hull(self, session: int, quantity: str) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper end (N,) of `speed` or `phi` over the whole profile."""
+        """Return the lower and upper ends (N,) of `speed` or `phi` over the whole profile."""
         fine = np.linspace(max(self.root[0], -ROOT), min(self.root[-1], ROOT), GRID)
         value, std = (np.array([getattr(p[session], quantity + part) for p in self.polars])
                       for part in ('', '_std'))
@@ -73,11 +83,17 @@ def _interpolated(at: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 class Intervals:
-    """Estimates with 95 % intervals of all that a `fit` knows.
+    """Estimates with 95 % intervals of all parameters of a fit.
 
-    By curvature alone where it is not `complete`: intervals of a model that does not explain the
-    data are not worth the time that profiles take. `others` are fits of other models to the same
-    rows that may be true, with their probabilities.
+    Parameters
+    ----------
+    fit : ModelFit
+        The published fit.
+    complete : bool, optional
+        Whether the model explains the data. If not, intervals are by curvature alone: profiles
+        take too long for a model that is wrong.
+    others : sequence of (ModelFit, float), optional
+        Fits of other models to the same rows that may be true, with their probabilities.
     """
 
     def __init__(self, fit: ModelFit, complete: bool = True,
@@ -86,7 +102,18 @@ class Intervals:
         self._std = np.sqrt(np.diag(fit.covariance))
 
     def effect(self, name: str) -> dict[str, Estimate]:
-        """The parameters of the effect `name`, SI; of a reciprocal by the delta method."""
+        """Return the parameters of an effect.
+
+        Parameters
+        ----------
+        name : str
+            Id of the effect.
+
+        Returns
+        -------
+        dict of str to Estimate
+            By parameter name, SI. Those of a reciprocal parameter are by the delta method.
+        """
         result = {}
         for k, (effect, parameter) in enumerate(self._fit.model.parameters):
             if effect == name:
@@ -111,13 +138,20 @@ class Intervals:
 
     @cached_property
     def _profiles(self) -> dict[int, _Profile]:
-        """Of the parameters whose likelihood is no parabola, by their place in the vector."""
+        """Profiles of parameters whose likelihood is not a parabola, by index in the vector."""
         return {k: found for k, (_, parameter) in enumerate(self._fit.model.parameters)
                 if self._complete and np.isfinite(self._std[k]) and not parameter.is_angle
                 and (found := _follow(self._fit, k, float(self._std[k]), parameter))}
 
     def particles(self) -> tuple[Particle, ...]:
-        """Speed, φ and force of every particle, over the longest of its tracks."""
+        """Return speed, φ and force of every particle, over its longest track.
+
+        Returns
+        -------
+        tuple of Particle
+            Particles of all sessions; with several sessions the name begins with that of the
+            session.
+        """
         return tuple(
             particle for s, polar in enumerate(self._fit.polars())
             for particle in self._of_session(s, polar))
@@ -143,7 +177,7 @@ class Intervals:
                             force[n] + np.array([-1.0, 1.0]) * off[:, n]))
 
     def _apart(self, s: int, polar: Polar) -> tuple[np.ndarray, np.ndarray]:
-        """Variances (N,) of speed and φ that models within reach add in a session `s`."""
+        """Return the variances (N,) of speed and φ that other models add in session `s`."""
         speed, phi = np.zeros((2, len(polar.speed)))
         for other, p in self._others:
             there = other.session_fits[s].polar()
@@ -153,7 +187,7 @@ class Intervals:
         return speed, phi
 
     def _ends(self, s: int, polar: Polar, quantity: str) -> np.ndarray:
-        """Lower and upper ends (2, N): by curvature, or the widest of all profiles."""
+        """Return lower and upper ends (2, N): by curvature, or the widest of all profiles."""
         value, std = getattr(polar, quantity), getattr(polar, quantity + '_std')
         if not self._profiles:
             return np.stack([value - ROOT * std, value + ROOT * std])
@@ -162,29 +196,44 @@ class Intervals:
                          np.max([high for _, high in hulls], axis=0)])
 
     def diffusion(self) -> Estimate:
-        """D [m²/s], averaged over sessions."""
+        """Return the diffusion coefficient, averaged over sessions.
+
+        Returns
+        -------
+        Estimate
+            D [m²/s].
+        """
         return _mean([_diffusion(n) for n in self._noises])
 
     def localisation(self) -> Estimate:
-        """σ [m], averaged over sessions; its interval may begin at nothing."""
+        """Return the localisation error, averaged over sessions.
+
+        Returns
+        -------
+        Estimate
+            σ [m]; its interval may begin at 0.
+        """
         return _mean([_localisation(n) for n in self._noises])
 
     @cached_property
     def _noises(self) -> list[Noise]:
-        """D and σ of every session, as for a strobe: an exposure would add DE/3 to σ²."""
+        """D and σ of every session, as for an instantaneous exposure.
+
+        An exposure of duration E would add DE/3 to σ².
+        """
         return [p.noise() for p in self._fit.session_fits]
 
 
 def _widened(ends: np.ndarray, value: np.ndarray | float,
              variance: np.ndarray | float) -> np.ndarray:
-    """Return the `ends` (2, ...) of an interval about a `value` with some `variance` more."""
+    """Return the `ends` (2, ...) of an interval about a `value` after adding a `variance`."""
     side = np.sign(ends - value)
     moved: np.ndarray = value + side * np.sqrt((ends - value) ** 2 + ROOT**2 * variance)
     return moved
 
 
 def _follow(fit: ModelFit, k: int, std: float, parameter: Parameter) -> _Profile | None:
-    """The profile of the `k`-th parameter; None where it is the parabola that `std` tells of."""
+    """Return the profile of the `k`-th parameter; None where it is the parabola of `std`."""
     x, bounds = float(fit.model.vector()[k]), parameter.fit_bounds
     ends = [_held(fit, k, float(np.clip(x + side * ROOT * std, *bounds)), fit)
             for side in (-1, 1)]
@@ -204,7 +253,7 @@ def _follow(fit: ModelFit, k: int, std: float, parameter: Parameter) -> _Profile
 
 def _walk(fit: ModelFit, k: int, side: int, last: ModelFit,
           bounds: tuple[float, float]) -> list[ModelFit]:
-    """Points on one side of the maximum, to the end of the interval or a bound."""
+    """Return points on one side of the maximum, to the end of the interval or a bound."""
     x = _at(fit, k)
     points = [last]
     for _ in range(TRIED):
@@ -217,7 +266,7 @@ def _walk(fit: ModelFit, k: int, side: int, last: ModelFit,
             break
         last = _held(fit, k, at, last)
         points.append(last)
-    if _root(last, fit) < ROOT - BENT:  # it hardly falls: there may be no end before the bound
+    if _root(last, fit) < ROOT - BENT:  # a flat profile may have no end before the bound
         last = _held(fit, k, bounds[side > 0], last)
         points.append(last)
     middle = [_held(fit, k, x + part * (_at(last, k) - x), last) for part in (0.33, 0.67)]
@@ -225,7 +274,7 @@ def _walk(fit: ModelFit, k: int, side: int, last: ModelFit,
 
 
 def _rising(points: list[ModelFit], best: ModelFit) -> list[ModelFit]:
-    """The points on both sides of the `best`, as far as likelihood falls away from it."""
+    """Return the points around the `best`, as far as the likelihood falls monotonically."""
     middle = next(k for k, point in enumerate(points) if point is best)
     kept = [best]
     for side in (points[middle + 1:], points[:middle][::-1]):
@@ -238,7 +287,7 @@ def _rising(points: list[ModelFit], best: ModelFit) -> list[ModelFit]:
 
 
 def _held(fit: ModelFit, k: int, at: float, near: ModelFit) -> ModelFit:
-    """The best fit with the `k`-th parameter `at` a fit coordinate, from one `near` it."""
+    """Return the best fit with the `k`-th parameter held `at` a coordinate, from one `near`."""
     vector = near.model.vector()
     vector[k] = at
     return maximise(fit.under(fit.model.with_vector(vector)), STEPS, held=k)
@@ -259,7 +308,7 @@ def _diffusion(noise: Noise) -> Estimate:
 
 
 def _localisation(noise: Noise) -> Estimate:
-    """By the spread of σ², which is normal where that of σ is not."""
+    """Return σ with an interval from the spread of σ², which is normal where that of σ is not."""
     square = noise.localisation**2
     spread = (noise.localisation + noise.localisation_std) ** 2 - square
     low, high = (float(np.sqrt(max(square + side * ROOT * spread, 0.0))) for side in (-1, 1))

@@ -1,4 +1,4 @@
-"""What to record next, to tell apart the explanations that a recording leaves."""
+"""The next experiment: which command would distinguish the remaining explanations."""
 
 from __future__ import annotations
 
@@ -18,18 +18,27 @@ from microbot_ros.model.increments import as_vectors
 from microbot_ros.model.model import Model, ParticleParameters
 
 DECIDES = 10.0
-"""Expected difference in log likelihood that settles a question: odds of 20 000 to 1."""
+"""Expected difference in log likelihood that settles a question: odds of 20 000 to 1.
+
+Choice: a smaller value recommends recordings that may not decide, a larger one longer recordings.
+"""
 
 TRIAL = 60.0
-"""Seconds of an experiment that is tried out."""
+"""Duration [s] of a simulated trial experiment.
+
+Choice: several rounds of most plans; a longer trial costs time in proportion.
+"""
 
 LONGEST = 120.0
-"""Minutes beyond which an experiment is no help."""
+"""Duration [min] above which no command is recommended.
+
+Choice: about what a sample lasts under the microscope.
+"""
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """A command in words and as turns [rad], field levels (relative) and holding times [s]."""
+    """A command: words, turns [rad], relative field levels and range of holding times [s]."""
 
     words: str
     turns: tuple[float, ...]
@@ -50,15 +59,30 @@ _MENU = (
     _Plan('a square walked round both ways, 5 s a side', (1.571, 1.571, 1.571, 1.571, -1.571,
                                                         -1.571, -1.571, -1.571), hold=(5.0, 5.0)),
 )
+"""Candidate plans. Choice: each excites effects that the others excite weakly."""
 
 
 def next_experiment(fit: ModelFit, rivals: Sequence[Model],
                     run: Run = serially) -> NextExperiment | None:
-    """The command of the menu that best tells a fit from all its rivals, and for how long.
+    """Return the plan that best distinguishes a fit from its rivals, and its duration.
 
-    Each plan is tried out on the particles of the last session under the fitted model; its worth
-    is the least expected difference in log likelihood, every rival's parameters, v and φ at their
-    best. None without rivals; in words where no plan helps. `run` tries the plans.
+    Each plan is simulated with the particles of the last session under the fitted model. Its value
+    is the smallest expected difference in log likelihood over the rivals, each with its
+    parameters, v and φ at their best.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit of the current model.
+    rivals : sequence of Model
+        Models that explain the data as well.
+    run : Run, optional
+        Distributes the plans.
+
+    Returns
+    -------
+    NextExperiment or None
+        None without rivals. If no plan helps, the sentence says so and `minutes` is infinite.
     """
     if not rivals:
         return None
@@ -79,7 +103,7 @@ def next_experiment(fit: ModelFit, rivals: Sequence[Model],
 
 
 def _trial(fit: ModelFit, plan: _Plan) -> PreparedSession:
-    """What the fitted model expects of the last session's particles under a plan."""
+    """Return what the fitted model expects of the last session's particles under a plan."""
     last = fit.session_fits[-1]
     e = last.session
     commands = _commands(plan, e.commands)
@@ -97,7 +121,7 @@ def _trial(fit: ModelFit, plan: _Plan) -> PreparedSession:
 
 
 def _commands(plan: _Plan, used: Commands) -> Commands:
-    """A plan at the strength, and over the frequencies, that the session used."""
+    """Return the commands of a plan at the session's field strength and frequencies."""
     strength = float(np.hypot(*used.field.T).max())
     rng = np.random.default_rng(0)
     count = int(TRIAL / plan.hold[0]) + 1
@@ -114,7 +138,7 @@ def _commands(plan: _Plan, used: Commands) -> Commands:
 
 
 def _separation(fit: ModelFit, trial: PreparedSession, rival: Model) -> float:
-    """½‖W(μ − μ')‖² of the fitted model and a rival fitted to what it expects."""
+    """Return ½‖W(μ − μ')‖² of the fitted model and a rival fitted to the expected data."""
     noise = fit.session_fits[-1]
     start = evaluate(rival, [trial], [Whitening(noise.whitening.noise_ratio)])
     best = maximise(start, 8)

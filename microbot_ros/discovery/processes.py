@@ -1,8 +1,8 @@
-"""The parts of a search in several processes, which inherit what they work on.
+"""Parallel map over forked processes that inherit their data.
 
-Workers are forked when there is work and end with it: what it is about, sessions of many
-megabytes, is theirs without being sent. Only what they find is, and of that neither what the
-caller has himself nor what follows from the rest.
+Workers are forked when there is work and end with it: they inherit sessions of many megabytes
+without any transfer. Only results are sent back, without objects that the caller already has and
+without cached values.
 """
 
 from __future__ import annotations
@@ -22,22 +22,37 @@ Found = TypeVar('Found')
 
 
 class Run(Protocol):
-    """Calls a function with each of some items; what it returns, in their order."""
+    """Protocol of a map: calls a function with each item and returns the results in order."""
 
     def __call__(self, call: Callable[[Given], Found], items: Sequence[Given],
                  kept: Sequence[object] = ()) -> Iterable[Found]:
-        """What `call` returns for each of `items`; in it those `kept` are those of the caller."""
+        """Return the results of `call` for `items`, with the caller's own `kept` objects."""
 
 
 def serially(call: Callable[[Given], Found], items: Sequence[Given],
              kept: Sequence[object] = ()) -> Iterable[Found]:  # noqa: ARG001
-    """What `call` returns for each of `items`, one after the other; all are `kept` anyhow."""
+    """Call a function with each item, one after the other.
+
+    Parameters
+    ----------
+    call : callable
+        Function of one item.
+    items : sequence
+        Its arguments.
+    kept : sequence of object, optional
+        Not used: all objects are the caller's own.
+
+    Returns
+    -------
+    iterable
+        Results in the order of the items.
+    """
     return [call(item) for item in items]
 
 
 @dataclass(frozen=True)
 class _Work:
-    """What workers are forked with."""
+    """What workers inherit: the function, its arguments and the objects that are not sent back."""
 
     call: Callable[[Any], Any]
     items: Sequence[Any]
@@ -49,10 +64,25 @@ _work: _Work | None = None
 
 def in_processes(call: Callable[[Given], Found], items: Sequence[Given],
                  kept: Sequence[object] = (), *, jobs: int) -> Iterable[Found]:
-    """What `call` returns for each of `items`, from as many `jobs` that are forked for it.
+    """Call a function with each item in forked processes.
 
-    Neither `call` nor the items are sent. What is found is pickled, but for objects `kept` of the
-    caller's in it, for which the caller's own stand in what is returned.
+    Neither the function nor the items are sent; results are pickled.
+
+    Parameters
+    ----------
+    call : callable
+        Function of one item.
+    items : sequence
+        Its arguments; fewer than two are handled in this process.
+    kept : sequence of object, optional
+        Objects that results may contain and that are not sent back: the caller's own replace them.
+    jobs : int
+        Maximum number of processes.
+
+    Returns
+    -------
+    iterable
+        Results in the order of the items.
     """
     global _work
     if len(items) < 2:
@@ -60,7 +90,7 @@ def in_processes(call: Callable[[Given], Found], items: Sequence[Given],
     _work = _Work(call, items, kept)
     try:
         context = multiprocessing.get_context('fork')
-        # Frozen, what is inherited is not copied because garbage is looked for in it.
+        # Without a freeze, garbage collection would write to inherited pages, which copies them.
         with ProcessPoolExecutor(min(jobs, len(items)), context, gc.freeze) as pool:
             return [_Reader(io.BytesIO(found), kept).load()
                     for found in pool.map(_found, range(len(items)))]
@@ -69,7 +99,7 @@ def in_processes(call: Callable[[Given], Found], items: Sequence[Given],
 
 
 def _found(index: int) -> bytes:
-    """What is found for one of the items, as bytes."""
+    """Return the pickled result for one item."""
     assert _work is not None
     file = io.BytesIO()
     _Writer(file, _work.kept).dump(_work.call(_work.items[index]))
@@ -77,7 +107,7 @@ def _found(index: int) -> bytes:
 
 
 class _Writer(pickle.Pickler):
-    """Writes the fields of dataclasses, not what was worked out from them, and no object kept."""
+    """Pickler that omits cached values of dataclasses, and objects that are kept."""
 
     def __init__(self, file: io.BytesIO, kept: Sequence[object]) -> None:
         super().__init__(file, pickle.HIGHEST_PROTOCOL)
@@ -94,7 +124,7 @@ class _Writer(pickle.Pickler):
 
 
 class _Reader(pickle.Unpickler):
-    """Reads it, with the objects kept in their places."""
+    """Unpickler that inserts the kept objects."""
 
     def __init__(self, file: io.BytesIO, kept: Sequence[object]) -> None:
         super().__init__(file)

@@ -1,4 +1,4 @@
-"""What a search for the missing effect found: numbers in SI, and `result.json` of them."""
+"""Result of a search for missing effects: numbers in SI, and `result.json`."""
 
 from __future__ import annotations
 
@@ -13,29 +13,50 @@ from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
 
 Verdict = Literal['consistent', 'named', 'unnamed']
+"""`consistent`: no effect is missing; `named`: effects explain the data; `unnamed`: something
+else."""
+
 FIRES = 0.003
-"""Adjusted p-value below which a map says that something is left."""
+"""Adjusted p-value below which a residual map shows structure.
+
+Choice: with the number of maps accounted for, 0.3 % of complete models show one; twice of it
+doubles these, half of it hides weak structure.
+"""
 
 HORIZON = 1.0
-"""Seconds ahead of which a prediction is judged, where the recording is long enough, and within
-which a residual map asks how far what is left moves particles."""
+"""Prediction horizon [s] for held-out data, where recordings are long enough, and of the size of
+what a residual map shows.
+
+Choice: a usual reaction time of closed-loop control. Over longer times diffusion hides more, over
+shorter ones the localisation error does."""
 
 WORTH = 0.1
-"""Part of the noise floor of a prediction that something must move particles by, to be worth an
-explanation: a choice. With it an error of prediction is 0.5 % larger than by noise alone, with
-twice of it 2 %. At λ = 100 and 240 s of particles what is steady moves them by 0.45."""
+"""Displacement, as a fraction of the noise floor of a prediction, above which a residual needs an
+explanation.
+
+Choice: with it a prediction error is 0.5 % larger than by noise alone, with twice of it 2 %. A
+steady velocity with an expected evidence λ = 100 in 240 s of particles has a size of 0.45."""
 
 UNEVEN = 1.2
-"""Ratio of an interval's two sides from which ± would mislead."""
+"""Ratio of an interval's two sides above which it is written as a range instead of ±.
+
+Choice: up to it, ± errs at either end by less than a tenth of the half-width.
+"""
 
 Status = Literal['established', 'suggested', 'proxy']
+"""`established`: named; `suggested`: in the model only; `proxy`: beside something unexplained."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A `value` with its standard deviation `std`, SI; NaN where unknown.
+    """A value with standard deviation and 95 % interval, SI; NaN where unknown.
 
-    The 95 % interval is from `low` to `high`; of an effect's parameter within its bounds.
+    Attributes
+    ----------
+    value, std : float
+        Estimate and standard deviation.
+    low, high : float
+        Ends of the 95 % interval; for a parameter of an effect within its bounds.
     """
 
     value: float
@@ -45,39 +66,89 @@ class Estimate:
 
     @classmethod
     def normal(cls, value: float, std: float) -> Estimate:
-        """With the interval of a normal distribution."""
+        """Make an estimate with the interval of a normal distribution.
+
+        Parameters
+        ----------
+        value : float
+            Mean, SI.
+        std : float
+            Standard deviation, SI.
+
+        Returns
+        -------
+        Estimate
+            With the interval value ± 1.96 std.
+        """
         return cls(value, std, value - 1.96 * std, value + 1.96 * std)
 
     @property
     def is_even(self) -> bool:
-        """Whether the interval lies about the value as ± tells it."""
+        """Whether the interval is symmetric enough to be written with ±."""
         below, above = self.value - self.low, self.high - self.value
         return not max(below, above) > UNEVEN * min(below, above)
 
     @classmethod
     def of(cls, value: float, std: float, ends: np.ndarray) -> Estimate:
-        """From numbers of any kind; `ends` (2,) of the interval."""
+        """Make an estimate from numbers of any type.
+
+        Parameters
+        ----------
+        value : float
+            Estimate, SI.
+        std : float
+            Standard deviation, SI.
+        ends : ndarray, shape (2,)
+            Ends of the 95 % interval.
+
+        Returns
+        -------
+        Estimate
+            With Python floats.
+        """
         return cls(float(value), float(std), float(ends[0]), float(ends[1]))
 
     def as_json(self, name: str) -> dict[str, float | None]:
-        """All in the unit that `name` carries; null where not finite."""
+        """Return the estimate for a JSON file.
+
+        Parameters
+        ----------
+        name : str
+            Name whose suffix gives the unit, e.g. `v_um_s`.
+
+        Returns
+        -------
+        dict of str to float or None
+            `value`, `std`, `low_95` and `high_95` in that unit; None where not finite.
+        """
         return {'value': _edge(name, self.value), 'std': _edge(name, self.std),
                 'low_95': _edge(name, self.low), 'high_95': _edge(name, self.high)}
 
 
 UNKNOWN = Estimate.normal(np.nan, np.nan)
-"""An estimate of which nothing is known."""
+"""Estimate of an unknown value: NaN."""
 
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that the data ask for: its `id`, `status` and `parameters` by name.
+    """An effect that the data support.
 
-    `log_evidence` is the natural log of its Bayes factor: the odds that the recording gives the
-    model with it over that without it. By it an effect is named. `delta_bic` and `p_value` compare
-    the same two models; `p_value` is local for effects with no shape to search over and corrected
-    for the search where there is one. `indistinguishable_from` names the effects that explain the
-    same data as well.
+    Attributes
+    ----------
+    id : str
+        Id of the effect.
+    status : Status
+        How certain it is.
+    parameters : dict of str to Estimate
+        By name of the parameter, SI.
+    log_evidence : float
+        Natural log of the Bayes factor: the odds that the recording gives the model with the
+        effect over the model without it. An effect is named by it.
+    delta_bic, p_value : float
+        Comparison of the same two models. The p-value is local for effects without a shape, and
+        corrected for the search where there is one.
+    indistinguishable_from : tuple of str
+        Effects that explain the same data as well.
     """
 
     id: str
@@ -89,7 +160,13 @@ class NamedEffect:
     indistinguishable_from: tuple[str, ...] = ()
 
     def sentence(self) -> str:
-        """With its parameters and 95 % intervals."""
+        """Return the effect with its parameters and 95 % intervals as a sentence.
+
+        Returns
+        -------
+        str
+            In units for people.
+        """
         values = ', '.join(
             f'{name.removesuffix(suffix(name))} = {_told(name, e)}'
             for name, e in self.parameters.items())
@@ -98,7 +175,13 @@ class NamedEffect:
         return f'{self.status} {self.id}: {values} (ΔBIC {self.delta_bic:.0f}){doubt}.'
 
     def as_json(self) -> dict[str, Any]:
-        """The entry of `effects`, in the units of the names."""
+        """Return the entry of `effects` in `result.json`.
+
+        Returns
+        -------
+        dict
+            Numbers in the units of their names.
+        """
         return {
             'id': self.id, 'status': self.status,
             'parameters': {name: e.as_json(name) for name, e in self.parameters.items()},
@@ -110,13 +193,26 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Gap:
-    """Held-out open-loop prediction over `horizon` [s]: excess over the noise floor [m].
+    """Error of open-loop prediction on held-out data, in excess of the noise floor.
 
-    `before`, `after` and (where the truth is known) `truth` are √(RMS² − floor²) of one axis,
-    0 where there is no excess and NaN where nothing could be judged, all over the same
-    displacements; `floor` = √(2D·horizon + 2σ²). `learned`: after the learned term besides, where
-    there is one. `closed` and `closed_by_learned`: the squared error [m²] before less that after,
-    or less that after the learned term, of the same displacement: their mean.
+    Errors are √(RMS² − floor²) [m] of one axis over the same displacements: 0 without excess, NaN
+    where nothing could be judged.
+
+    Attributes
+    ----------
+    horizon : float
+        Prediction horizon [s].
+    before, after : float
+        Error of the first-order model, and with the effects [m].
+    floor : float
+        Noise floor √(2D·horizon + 2σ²) [m].
+    truth : float
+        Error of the true model [m]; NaN where it is not known.
+    learned : float
+        Error with the learned term as well [m]; NaN without one.
+    closed, closed_by_learned : Estimate
+        Mean decrease of the squared error of a displacement [m²], by the effects or with the
+        learned term as well.
     """
 
     horizon: float
@@ -129,7 +225,13 @@ class Gap:
     closed_by_learned: Estimate = UNKNOWN
 
     def sentences(self) -> list[str]:
-        """Return the gap for people, in one or two sentences."""
+        """Return the gap in one or two sentences.
+
+        Returns
+        -------
+        list of str
+            In µm.
+        """
         if not np.isfinite([self.before, self.after, self.floor]).all():
             return ['How well the model predicts is not known: no particle is seen long enough in '
                     f'a part of the recording that was held out, {self.horizon:.3g} s at least.']
@@ -148,11 +250,24 @@ class Gap:
 
 @dataclass(frozen=True)
 class ResidualMap:
-    """What is left of the data against one covariate.
+    """Dependence of the residual on one covariate.
 
-    `statistic` is χ² with `dof` degrees of freedom where nothing is left, `p_value` corrected for
-    the number of maps. For drawing: `curves` {component: (mean, standard error)} of the residual
-    velocity [m/s] in bins whose middles are `middles` (B,) in the unit of `label`.
+    Attributes
+    ----------
+    against : str
+        Name of the covariate.
+    label : str
+        Axis label, with unit.
+    statistic : float
+        χ² with `dof` degrees of freedom if the model is complete.
+    dof : int
+        Degrees of freedom.
+    p_value : float
+        Corrected for the number of maps.
+    middles : ndarray, shape (B,)
+        Middles of the bins, in the unit of `label`.
+    curves : dict of str to (ndarray, ndarray)
+        Mean and standard error of the residual velocity [m/s] in each bin, by component.
     """
 
     against: str
@@ -163,33 +278,43 @@ class ResidualMap:
     middles: np.ndarray
     curves: dict[str, tuple[np.ndarray, np.ndarray]]
     cut_out: bool = False
-    """Whether it decides nothing: steps too large for any motion, which are cut out of the fit."""
+    """Whether the map shows only steps too large for any motion, which the fit excludes."""
     size: float = np.inf
-    """How far what is left moves particles in a second, in units of the noise floor of a
-    prediction; infinite where it is not known."""
+    """How far the residual moves particles in HORIZON, in units of the noise floor of a
+    prediction; infinite where unknown."""
 
     @property
     def log_p(self) -> float:
-        """Logarithm of the p-value, as far as numbers go."""
+        """Natural log of the p-value, at least that of 1e-300."""
         return float(np.log(max(self.p_value, 1e-300)))
 
     @property
     def fires(self) -> bool:
-        """Whether there is something left."""
+        """Whether the residual depends on the covariate: p-value below FIRES."""
         return self.p_value < FIRES
 
     @property
     def decides(self) -> bool:
-        """Whether what is left calls a model into question: it is not cut out, and not small."""
+        """Whether the residual questions the model: neither excluded from the fit nor small."""
         return self.fires and not self.cut_out and self.size > WORTH
 
 
 @dataclass(frozen=True)
 class Considered:
-    """An effect `id` that is not in the model, and what adding it would bring.
+    """An effect that is not in the model, and what adding it would bring.
 
-    `log_evidence`, natural log of its Bayes factor; `likelihood_ratio` LR with `dof` degrees of
-    freedom, `delta_bic` and `p_value` of it.
+    Attributes
+    ----------
+    id : str
+        Id of the effect.
+    log_evidence : float
+        Natural log of its Bayes factor.
+    likelihood_ratio : float
+        −2 log likelihood that it gains, with `dof` degrees of freedom.
+    dof : int
+        Degrees of freedom.
+    delta_bic, p_value : float
+        Of the likelihood ratio.
     """
 
     id: str
@@ -202,9 +327,16 @@ class Considered:
 
 @dataclass(frozen=True)
 class Limit:
-    """A `parameter` of an effect `id` that is not supported, and its `upper_limit` (95 %), SI.
+    """Upper limit of a parameter of an effect that is not supported.
 
-    NaN where the data do not bound it.
+    Attributes
+    ----------
+    id : str
+        Id of the effect.
+    parameter : Parameter
+        The parameter.
+    upper_limit : float
+        95 % upper limit of its magnitude, SI; NaN where the data do not bound it.
     """
 
     id: str
@@ -214,7 +346,19 @@ class Limit:
 
 @dataclass(frozen=True)
 class Particle:
-    """One particle of that `name`: `speed` [m/s] or gain [m/s/Hz], `phi` [rad], `force` [N]."""
+    """Estimates of one particle.
+
+    Attributes
+    ----------
+    name : str
+        Id; with several sessions `session:id`.
+    speed : Estimate
+        Speed [m/s], or gain [m/s/Hz] of a roller.
+    phi : Estimate
+        Angle of travel from the field [rad].
+    force : Estimate
+        Propulsive force [N].
+    """
 
     name: str
     speed: Estimate
@@ -224,15 +368,25 @@ class Particle:
 
 FRAMES = {'laboratory': 'in the laboratory', 'heading': 'along the heading',
           'radial': 'towards neighbours'}
-"""Of learned terms, in words."""
+"""Frames of learned terms in words."""
 
 
 @dataclass(frozen=True)
 class Learned:
-    """A `term` of no known cause, and the known physics that it `looks_like`, '' for none.
+    """A learned term of unknown cause.
 
-    `log_evidence` over nothing, all that was looked at paid for; `odds` of covariate, frame and
-    what it acts on, the likeliest first; `left`: what still shows structure with it.
+    Attributes
+    ----------
+    term : LearnedTerm
+        The term.
+    looks_like : str
+        Known physics that it resembles; '' for none.
+    log_evidence : float
+        Natural log of its Bayes factor, less the cost of all terms tried.
+    odds : dict of (str, str, str) to float
+        Probability of covariate, frame and acted-on quantity, largest first.
+    left : tuple of str
+        Covariates that still show structure with the term.
     """
 
     term: LearnedTerm
@@ -242,7 +396,13 @@ class Learned:
     left: tuple[str, ...] = ()
 
     def sentence(self) -> str:
-        """What it is, for people."""
+        """Return the term as sentences.
+
+        Returns
+        -------
+        str
+            Quantity, covariate, formula and resemblance.
+        """
         term = self.term
         form = f': {term.formula}' if term.formula else ', a curve that no formula fits'
         like = f' It looks like {self.looks_like}.' if self.looks_like else ''
@@ -251,7 +411,18 @@ class Learned:
                 f'({FRAMES[term.frame]}){form}.{like}{rest} A curve is not a cause.')
 
     def as_json(self, gap: float) -> dict[str, Any]:
-        """The entry of `learned`; `gap` [m] is what is left with all that was learned."""
+        """Return the entry of `learned` in `result.json`.
+
+        Parameters
+        ----------
+        gap : float
+            Prediction error [m] with all learned terms.
+
+        Returns
+        -------
+        dict
+            Numbers in the units of their names.
+        """
         term = self.term
         return {
             'against': term.against, 'frame': term.frame, 'acts_on': term.acts_on,
@@ -265,8 +436,10 @@ class Learned:
         }
 
     def _arrows(self) -> list[list[float | None]]:
-        """Of a velocity that depends on the place: x, y [µm] and the velocity there [µm/s] at each
-        knot that data were at. Of all else none."""
+        """Return rows of x, y [µm] and velocity [µm/s] at the knots with data.
+
+        Only of a velocity that depends on place; else none.
+        """
         term = self.term
         if (term.against, term.acts_on) != ('position', 'velocity'):
             return []
@@ -277,7 +450,7 @@ class Learned:
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to record to tell apart what this recording can't: a `sentence`, and `minutes`."""
+    """A recording to decide between open explanations: a `sentence`, and `minutes` of it."""
 
     sentence: str
     minutes: float
@@ -285,16 +458,40 @@ class NextExperiment:
 
 @dataclass(frozen=True)
 class Discovery:
-    """The whole result. `model` and `particles` (those of the last session) make `model.yaml`.
+    """The whole result of a search.
 
-    `verdict`; `effects`, the surest first; `gap` in prediction; `maps_before`, `maps_after` of
-    the residual; `considered`: what is not in the model, the likeliest first; `limits` of what is
-    not supported; `baseline`: every particle under the final model, with `diffusion` [m²/s] and
-    `localisation` [m], means over sessions; `next_experiment`, None where nothing is open;
-    `remarks`: sentences.
-    `unexplained`: what no effect explains, and what is small beside one, the worst first.
-    `learned`: terms for what is unnamed,
-    parts of the model.
+    Attributes
+    ----------
+    verdict : Verdict
+        Summary of the search.
+    effects : tuple of NamedEffect
+        Effects of the model, largest evidence first.
+    gap : Gap
+        Error of prediction on held-out data.
+    maps_before, maps_after : tuple of ResidualMap
+        Residual of the first-order model and of the final one.
+    unexplained : tuple of ResidualMap
+        What no effect explains, and what is small beside one, smallest p-value first.
+    considered : tuple of Considered
+        Effects that are not in the model, largest evidence first.
+    limits : tuple of Limit
+        Upper limits of effects that are not supported.
+    baseline : tuple of Particle
+        Every particle under the final model.
+    diffusion : Estimate
+        D [m²/s], mean over sessions.
+    localisation : Estimate
+        σ [m], mean over sessions.
+    next_experiment : NextExperiment or None
+        None where no question is open.
+    model : Model
+        Final model, with learned terms.
+    particles : ParticleParameters
+        Particles of the last session; with `model` they make `model.yaml`.
+    remarks : tuple of str
+        Sentences on reservations.
+    learned : tuple of Learned
+        Terms for what no effect explains; parts of `model`.
     """
 
     verdict: Verdict
@@ -315,7 +512,13 @@ class Discovery:
     learned: tuple[Learned, ...] = ()
 
     def sentences(self) -> list[str]:
-        """The verdict for people, the effects, the gap, remarks."""
+        """Return verdict, effects, gap and remarks as sentences.
+
+        Returns
+        -------
+        list of str
+            In units for people.
+        """
         against = ', '.join(m.against for m in self.unexplained)
         said = {
             'consistent': [('The first-order model explains the data' + (
@@ -332,7 +535,13 @@ class Discovery:
         return [*said, *self.gap.sentences(), *(f'! {remark}' for remark in self.remarks)]
 
     def as_json(self) -> dict[str, Any]:
-        """`result.json`, in units at the edge."""
+        """Return the content of `result.json`.
+
+        Returns
+        -------
+        dict
+            Numbers in the units of their names.
+        """
         speed = 'gain_um_s_hz' if self.model.propulsion == 'rolling' else 'v_um_s'
         return {
             'verdict': self.verdict,

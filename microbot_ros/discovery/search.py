@@ -1,9 +1,9 @@
-"""One candidate at a time: where its fit may begin, its maximum, and how likely that is by chance.
+"""Fit of one candidate effect: starting points, maximum, and its p-value.
 
-Effects with a place, a width or a frequency have many local maxima, and where nothing is hidden
-the largest of them is larger than χ² says: they are scanned first, and pay for every independent
-place they were looked for at (the look-elsewhere effect: Davies 1987, Gross and Vitells 2010).
-What is peculiar to an effect it says itself (`Effect`, "How it is looked for").
+Effects with a place, a width or a frequency have many local maxima. Where no effect is present,
+the largest of them exceeds what χ² predicts. Such effects are scanned first, and their p-value is
+corrected for every independent place tried (the look-elsewhere effect: Davies 1987, Gross and
+Vitells 2010). Each effect defines its own scan (`Effect`, "Search for the effect").
 """
 
 from __future__ import annotations
@@ -22,20 +22,38 @@ from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_with_nois
 from microbot_ros.model.effects import EFFECTS
 
 COARSE = 0.5
-"""Gain in −2 log likelihood that ends a first look at a candidate."""
+"""Gain in −2 log likelihood per step below which a coarse fit ends.
+
+Choice: the candidate is then ranked to about a unit; a smaller value costs steps for each.
+"""
 
 REACH = 20.0
-"""How far a candidate's log p may lie behind the best at first sight and still be polished."""
+"""Distance in log p behind the best coarse fit up to which a candidate is fitted to its maximum.
+
+Choice: far more than a coarse fit errs by; a larger value costs fits of hopeless candidates.
+"""
 
 
 @dataclass(frozen=True)
 class CandidateFit:
-    """A `fit` with the effect `id` more, beside one without it.
+    """A fit with one effect more than another fit.
 
-    `likelihood_ratio` LR with `dof` degrees of freedom; `trials`: independent places at which the
-    effect was looked for; `shape_seen`: whether the recording shows the shape that was found, not
-    only its flank; `price_of_turning`: what a rotational diffusion costs, in log odds, that is
-    fitted with the effect and not without it.
+    Attributes
+    ----------
+    fit : ModelFit
+        Fit with the effect.
+    id : str
+        Id of the effect.
+    likelihood_ratio : float
+        −2 log likelihood gained, with `dof` degrees of freedom.
+    dof : int
+        Degrees of freedom.
+    trials : float
+        Independent places at which the effect was tried.
+    shape_seen : bool
+        Whether the recording shows the shape that was found, not only its flank.
+    price_of_turning : float
+        Cost, in log odds, of a rotational diffusion that is fitted with the effect only.
     """
 
     fit: ModelFit
@@ -53,22 +71,42 @@ class CandidateFit:
 
     @property
     def log_p(self) -> float:
-        """Logarithm of the chance of so much evidence where nothing is there, scan included."""
+        """Natural log of the p-value, corrected for the scan."""
         return log_of_any(log_chi_square_tail(self.likelihood_ratio, self.dof), self.trials)
 
     @property
     def p_value(self) -> float:
-        """The chance itself."""
+        """Probability of as much evidence where the effect is absent, corrected for the scan."""
         return float(np.exp(max(self.log_p, -700.0)))
 
     @property
     def delta_bic(self) -> float:
-        """Positive where the effect is worth its parameters."""
+        """Decrease of the Bayesian information criterion: positive if worth its parameters."""
         return float(self.likelihood_ratio - self.dof * np.log(self.fit.count))
 
 
 def compare(fit: ModelFit, rest: ModelFit, effect_id: str) -> CandidateFit:
-    """What the effect `effect_id` of a `fit` brings beside the `rest`, the fit without it."""
+    """Return what an effect contributes to a fit.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit with the effect.
+    rest : ModelFit
+        Fit without it.
+    effect_id : str
+        Id of the effect.
+
+    Returns
+    -------
+    CandidateFit
+        Likelihood ratio, degrees of freedom and trials.
+
+    Raises
+    ------
+    ValueError
+        If `fit` does not have the effect.
+    """
     effect, evidence = fit.model.effect(effect_id), FitEvidence(fit)
     if effect is None:
         raise ValueError(f'the fit has no {effect_id}')
@@ -79,18 +117,39 @@ def compare(fit: ModelFit, rest: ModelFit, effect_id: str) -> CandidateFit:
 
 
 def fit_candidate(fit: ModelFit, effect_id: str) -> CandidateFit | None:
-    """The best fit of a model with `effect_id` added to that of a `fit`.
+    """Fit a model with one more effect.
 
-    None where the data can't show it.
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit without the effect.
+    effect_id : str
+        Id of the effect.
+
+    Returns
+    -------
+    CandidateFit or None
+        The best fit; None where the data cannot show the effect.
     """
     found = look_at(fit, effect_id)
     return found and polish(found, fit)
 
 
 def look_at(fit: ModelFit, effect_id: str) -> CandidateFit | None:
-    """A coarse fit of a model with `effect_id` added to that of a `fit`, from the best start.
+    """Fit a model with one more effect coarsely, from the best of its starting points.
 
-    Good to about a unit of the likelihood ratio. None where the data can't show the effect.
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit without the effect.
+    effect_id : str
+        Id of the effect.
+
+    Returns
+    -------
+    CandidateFit or None
+        Accurate to about a unit of the likelihood ratio; None where the data cannot show the
+        effect.
     """
     effect, evidence = EFFECTS[effect_id], FitEvidence(fit)
     if not effect.applies(evidence) or effect.absorbed_by_phi(evidence):
@@ -102,7 +161,22 @@ def look_at(fit: ModelFit, effect_id: str) -> CandidateFit | None:
 
 
 def polish(found: CandidateFit, fit: ModelFit) -> CandidateFit:
-    """A coarse candidate `found` beside a `fit` at its maximum; with noise, if it is evidence."""
+    """Fit a coarse candidate to its maximum.
+
+    The noise is refitted too if the likelihood ratio exceeds NEGLIGIBLE.
+
+    Parameters
+    ----------
+    found : CandidateFit
+        Coarse fit.
+    fit : ModelFit
+        Fit without the effect.
+
+    Returns
+    -------
+    CandidateFit
+        The maximum.
+    """
     best = compare(maximise(found.fit), fit, found.id)
     if best.likelihood_ratio <= NEGLIGIBLE:
         return best
@@ -110,11 +184,24 @@ def polish(found: CandidateFit, fit: ModelFit) -> CandidateFit:
 
 
 def search(fit: ModelFit, names: Iterable[str], run: Run = serially) -> list[CandidateFit]:
-    """Every candidate among `names` that the data can show beside a `fit`, best first.
+    """Fit each of several effects beside a fit.
 
-    The least likely by chance. What at first sight lies far behind the best stays as it is then,
-    unless it makes headings remember, since then it shows with noise of its own. `run` as
-    `serially` or `in_processes`.
+    A candidate far behind the best coarse fit stays coarse, unless it gives headings a memory,
+    since then it shows only with noise of its own.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit without these effects.
+    names : iterable of str
+        Ids of the effects.
+    run : Run, optional
+        `serially` or `in_processes`.
+
+    Returns
+    -------
+    list of CandidateFit
+        Every effect that the data can show, smallest p-value first.
     """
     kept = [one for p in fit.session_fits for one in (p.session, p.whitening)]
     seen = [one for one in run(partial(look_at, fit), list(names), kept) if one is not None]
@@ -126,10 +213,36 @@ def search(fit: ModelFit, names: Iterable[str], run: Run = serially) -> list[Can
 
 
 def without(fit: ModelFit, name: str) -> ModelFit:
-    """A `fit` with the effect `name` less, all else at its maximum again."""
+    """Remove an effect from a fit and maximise the rest again.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit with the effect.
+    name : str
+        Id of the effect.
+
+    Returns
+    -------
+    ModelFit
+        Fit without it.
+    """
     return fit_with_noise(fit.under(fit.model.without(name)))
 
 
 def contribution(fit: ModelFit, name: str) -> CandidateFit:
-    """What the effect `name` of a `fit` brings beside the others."""
+    """Return what an effect of a fit contributes beside the others.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit with the effect.
+    name : str
+        Id of the effect.
+
+    Returns
+    -------
+    CandidateFit
+        Likelihood ratio, degrees of freedom and trials.
+    """
     return compare(fit, without(fit, name), name)

@@ -1,11 +1,11 @@
-"""What may be said of a rig: which effects are named, and whether something has no name.
+"""Rules of the verdict: which effects are named, and whether something remains without a name.
 
-An effect is named by its Bayes factor, over the whole library, and against each rival; something
-has no name where a map of the residual fires, or a learned term is likelier than the names. The
-same rules judge a recording and every look of a search that drives a rig. A ratio of predictive
-densities may be looked at as often as one likes, but v, φ and D are fitted anew at every look, so
-that no theorem holds here: how often a name is false is known from simulations alone
-(docs/explanation/discovery.md).
+An effect is named by its Bayes factor, corrected for the whole library, and against each rival. An
+unnamed effect exists where a residual map shows structure, or a learned term is likelier than the
+named effects. The same rules judge a recording and every evaluation of a search that drives a rig.
+A ratio of predictive densities may be evaluated any number of times. Here v, φ and D are refitted
+at every evaluation, so that theorem does not apply: the rate of false names is known from
+simulations only (docs/explanation/discovery.md).
 """
 
 from __future__ import annotations
@@ -32,29 +32,57 @@ from microbot_ros.discovery.search import without
 from microbot_ros.model.effects import EFFECTS
 
 BETTER = 2.0
-"""Log p by which a map has to explain more than an effect, to put it in doubt."""
+"""Difference of log p by which a map must explain more than an effect to put it in doubt.
+
+Choice: a smaller value doubts effects that a map of many curves mimics, a larger one keeps wrong
+names.
+"""
 
 SMALL = 0.02
-"""Part of the evidence for a named effect up to which what is left does not call it into question:
-its prediction then errs by √0.02, a seventh, of what it errs by without the effect."""
+"""Fraction of the evidence for a named effect up to which a residual does not question it.
+
+Choice: the prediction then errs by √0.02, a seventh, of its error without the effect.
+"""
 
 
 def enough() -> float:
-    """Log evidence from which an effect is named: the chance FALSE, over the whole library."""
+    """Return the log Bayes factor above which an effect is named.
+
+    Returns
+    -------
+    float
+        Such that the probability of a false name is FALSE, over the whole library.
+    """
     return likelier_than_not() - float(np.log(FALSE))
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is known after a look.
+    """State of knowledge after an evaluation.
 
-    `named` effects, and of these the rivals that are still open, `open`; `pending`: effects that
-    are in the model or may join it, but are not named yet; `left`: what no effect explains, the
-    worst first; `beside`: what is left too, but decides nothing: steps that were cut out, and what
-    is small beside a named effect; `unlisted`: whether a term was learned that shows what is left;
-    `early`: names that had not the time yet to show that they are the same everywhere, or all
-    along; `of_instrument`: effects of the model that are too small to be told from an error of
-    camera, time stamps or coils (`Effect.below_floor`); `maps`: all of what the model leaves.
+    Attributes
+    ----------
+    named : tuple of str
+        Effects that are named.
+    open : dict of str to tuple of str
+        For each named effect the rivals that are not excluded.
+    pending : tuple of str
+        Effects that are in the model, or may join it, without a name yet.
+    left : tuple of ResidualMap
+        What no effect explains, smallest p-value first.
+    beside : tuple of ResidualMap
+        Residuals that decide nothing: steps excluded from the fit, and what is small beside a
+        named effect.
+    unlisted : bool
+        Whether a learned term shows what is left.
+    early : tuple of str
+        Named effects recorded for too short a time to show that they are the same everywhere, or
+        all the time.
+    of_instrument : tuple of str
+        Effects of the model too small to be told from an error of camera, time stamps or coils
+        (`Effect.below_floor`).
+    maps : tuple of ResidualMap
+        All residual maps of the model.
     """
 
     named: tuple[str, ...]
@@ -69,26 +97,42 @@ class Judgement:
 
     @property
     def settled(self) -> bool:
-        """Whether all names are alone, complete and nothing is left."""
+        """Whether effects are named and nothing is open, pending, left or too short."""
         alone = bool(self.named) and not any(self.open.values())
         return alone and not self.pending and not self.left and not self.early
 
     @property
     def verdict(self) -> Verdict:
-        """In one word."""
+        """The verdict in one word."""
         return 'unnamed' if self.left else 'named' if self.named else 'consistent'
 
     def status(self, name: str) -> Status:
-        """How sure an effect `name` of the model is."""
+        """Return how certain an effect of the model is.
+
+        Parameters
+        ----------
+        name : str
+            Id of the effect.
+
+        Returns
+        -------
+        Status
+            `proxy` if something is left; else `established` if it is named, or `suggested`.
+        """
         if self.left:
             return 'proxy'
         return 'established' if name in self.named else 'suggested'
 
     def foretelling_nothing(self) -> Judgement:
-        """Where what is left, in maps or as a learned term, foretells nothing of other rows.
+        """Return the judgement for residuals that do not improve prediction on held-out rows.
 
-        Names then need not explain it: it stands beside them. But for a rhythm, which no term that
-        is learned could show.
+        Named effects then need not explain the residuals, which move to `beside`. A rhythm stays
+        in `left`, since no learned term could show it.
+
+        Returns
+        -------
+        Judgement
+            With `unlisted` False.
         """
         rhythm = tuple(m for m in self.left if m.against.startswith('rhythm'))
         beside = tuple(m for m in self.left if m not in rhythm)
@@ -96,12 +140,25 @@ class Judgement:
 
     @property
     def answered(self) -> bool:
-        """Whether it is settled, or known to be in no list."""
+        """Whether the judgement is settled, or the cause is known to be in no list."""
         return self.settled or self.unlisted
 
 
 def judge(known: Hypotheses, run: Run = serially) -> Judgement:
-    """What follows from what is `known`; `run` shares the maps."""
+    """Apply the rules to the hypotheses.
+
+    Parameters
+    ----------
+    known : Hypotheses
+        Models that may explain the data.
+    run : Run, optional
+        Distributes the residual maps.
+
+    Returns
+    -------
+    Judgement
+        Before a search for learned terms (`scrutinised`).
+    """
     small = tuple(effect.id for effect in known.fit.model.effects if effect.below_floor())
     named = tuple(slot.own.id for slot in _likely(known)
                   if slot.own.found.shape_seen and slot.own.id not in small)
@@ -117,17 +174,17 @@ def judge(known: Hypotheses, run: Run = serially) -> Judgement:
 
 
 def _likely(known: Hypotheses) -> list[Slot]:
-    """The effects of the model whose evidence is enough for a name."""
+    """Return the effects of the model whose evidence suffices for a name."""
     return [slot for slot in known.slots if slot.own.evidence >= enough()]
 
 
 def _left(known: Hypotheses, named: Sequence[str], maps: Sequence[ResidualMap],
           run: Run) -> tuple[tuple[ResidualMap, ...], tuple[ResidualMap, ...]]:
-    """Of the `maps` those that fire beside the model, and what explains more than an effect of it.
+    """Return the residual maps that prevent a name, and those that do not.
 
-    First those that keep a name back, then those that do not: what was cut out of the fit, what
-    hardly moves a particle (`ResidualMap.decides`), and all that fire beside the model where the
-    worst of them is small beside a named effect.
+    The first are maps that decide beside the model, or that explain more than one of its effects.
+    The second are what the fit excludes, what hardly moves a particle (`ResidualMap.decides`), and
+    all maps with structure where the worst of them is small beside a named effect.
     """
     left = [m for m in maps if m.decides]
     beside = [m for m in maps if m.fires and not m.decides]
@@ -144,34 +201,48 @@ def _left(known: Hypotheses, named: Sequence[str], maps: Sequence[ResidualMap],
 
 
 def _is_small(worst: ResidualMap, own: Candidate, without_it: Sequence[ResidualMap]) -> bool:
-    """Whether the `worst` of what is left is small beside an effect, and of another kind.
+    """Return whether the `worst` residual is small beside an effect, and of another kind.
 
-    What only stands in for something else explains less of it, and leaves more of the same, in
-    the map that shows most where the effect is left out.
+    An effect that only stands in for another cause explains less of it. It then leaves more in the
+    same map that shows most without the effect.
     """
     return worst.against != max(without_it, key=_excess).against and (
         _excess(worst) < SMALL * own.found.likelihood_ratio)
 
 
 def _excess(found: ResidualMap) -> float:
-    """Evidence in a map beyond what chance gives."""
+    """Return the χ² of a map beyond its expectation."""
     return found.statistic - found.dof
 
 
 def _by_chance(maps: Sequence[ResidualMap]) -> tuple[ResidualMap, ...]:
-    """The least likely by chance first."""
+    """Return the maps sorted by p-value."""
     return tuple(sorted(maps, key=lambda m: m.p_value))
 
 
 def scrutinised(known: Hypotheses, judgement: Judgement,
                 report: Callable[[str], None] = lambda _: None) -> Judgement:
-    """The `judgement` on what is `known` once a term was looked for that no name explains.
+    """Search for a learned term that no named effect explains, and update the judgement.
 
-    `report` is told what is being done. A term is looked for beside the model, and in place of its
-    fields of place together. The evidence of a term is a Bayes factor like that of a name, and
-    pays for all that were looked at; maps see less of what is spread over time and place. What is
-    surely there, but in a shape that was not seen, has no name either: the flank of a spot beside
-    a flow may be any field of place.
+    A term is learned beside the model, and in place of all its effects that depend on place. Its
+    evidence is a Bayes factor like that of an effect, less the cost of all terms tried. Residual
+    maps are less sensitive to what is spread over time and place. An effect that is certain, but
+    whose shape the recording does not show, is not named either: the flank of a spot beside a flow
+    may be any field of place.
+
+    Parameters
+    ----------
+    known : Hypotheses
+        Models that may explain the data.
+    judgement : Judgement
+        From `judge`.
+    report : callable, optional
+        Receives one line of progress.
+
+    Returns
+    -------
+    Judgement
+        With `left`, `beside` and `unlisted` updated.
     """
     if found := _in_place_of_fields(known, report):
         return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
@@ -187,10 +258,10 @@ def scrutinised(known: Hypotheses, judgement: Judgement,
 
 
 def _in_place_of_fields(known: Hypotheses, report: Callable[[str], None]) -> Finding | None:
-    """A field of place in no list that is likelier than all that are in the model together.
+    """Return a learned field of place that is likelier than all such effects together.
 
-    Each of which pays for the library, as the term does for all that were looked at. A drift, a
-    flow and a spot are a series for any field, and pass one by one.
+    Each effect pays for the library, as the term does for all terms tried. A drift, a flow and a
+    spot are a series for any field, and pass one by one.
     """
     kinds = {slot.own.id: EFFECTS[slot.own.id] for slot in known.slots}
     fields = [slot.own for slot in known.slots
@@ -206,21 +277,21 @@ def _in_place_of_fields(known: Hypotheses, report: Callable[[str], None]) -> Fin
     found = known.term_beside(rest, report)
     if found is None or found.term.against != 'position':
         return None
-    # Both with the noise at its maximum: at that of the term the rest looks too bad.
+    # Each at its own noise: at the noise of the term the rest has too low a likelihood.
     gained = with_term(rest, found.term).log_likelihood - rest.log_likelihood
     evidence = found.log_evidence - found.gain + gained
     return found if evidence > together - len(fields) * likelier_than_not() + RIVAL else None
 
 
 def _in_no_shape(one: Candidate) -> ResidualMap:
-    """What an effect explains whose shape was not seen, as something that is left."""
+    """Return what an effect explains, whose shape was not seen, as a residual map."""
     against = 'position' if EFFECTS[one.id].needs_position else 'time'
     return ResidualMap(against, against, one.found.likelihood_ratio, one.found.dof,
                        len(EFFECTS) * float(np.exp(-one.evidence)), np.empty(0), {})
 
 
 def _as_map(found: Finding) -> ResidualMap:
-    """What was `found` as something that is left: the inverse of its odds bounds a p-value."""
+    """Return a learned term as a residual map: the inverse of its odds bounds a p-value."""
     term = found.term
     frame = '' if term.frame == 'laboratory' else f', {FRAMES[term.frame]}'
     return ResidualMap(f'{term.against}{frame}', term.against, 2 * found.gain, 0,

@@ -19,20 +19,37 @@ from microbot_ros.estimation.one_leg_regression import Leg, one_leg
 from microbot_ros.model.model import Model
 
 GATE = 40.0
-"""Squared whitened residual beyond which diffusion does not explain a step: 2e-9 by chance."""
+"""Squared whitened residual above which diffusion does not explain a step: 2e-9 by chance (χ² of
+2)."""
 
 CLEAR = 5.0
-"""Gain in log likelihood above which a delay is used: 0.16 % by chance."""
+"""Gain in log likelihood above which a delay is used: 0.16 % by chance (χ² of 1).
+
+Choice: a smaller value uses delays that are not there, a larger one leaves φ wrong.
+"""
 
 _FEWEST_STEPS = 10
-"""Steps at one frequency from which a gain at it is compared with the others."""
+"""Fewest steps at a frequency for its gain to be compared. Choice: a gain of fewer says little."""
 _MOST_LEVELS = 60
-"""Frequencies up to which they are levels that somebody set; more are a continuous drive."""
+"""Largest number of frequencies that are levels; more are a continuous drive.
+
+Choice: more than protocols have, fewer than a controller gives.
+"""
 
 
 @dataclass(frozen=True)
 class GainAt:
-    """Gain (complex, m/s/Hz) of all particles together at a `frequency` [Hz], ± `std` per axis."""
+    """Gain of all particles together at one frequency.
+
+    Attributes
+    ----------
+    frequency : float
+        Frequency [Hz].
+    gain : complex
+        Gain v e^{iφ} per frequency [m/s/Hz].
+    std : float
+        Standard deviation of the gain per axis [m/s/Hz].
+    """
 
     frequency: float
     gain: complex
@@ -41,15 +58,35 @@ class GainAt:
 
 @dataclass(frozen=True)
 class FitResult:
-    """The first-order model fitted to a recording; arrays over `ids` (P,), SI.
+    """First-order model fitted to a recording of P particles in T frames, SI.
 
-    `polar` holds speed (rollers: gain [m/s/Hz]) and φ with standard deviations that include the
-    delay's; NaN where nothing excited them. `force`, `force_std` [N] are NaN without radius or
-    viscosity and for rollers. `delay` is the one used, `noise` and `log_likelihood` are those at
-    it. `legs`: the paper's own recipe, for each particle. `gains` of rollers at each frequency
-    driven; `warnings`: sentences. `measured` (T, P) complex [m]: the tracks that were fitted, NaN
-    for gaps, and `predicted`: the model from the beginning of each of their pieces on. `rolling`:
-    whether they are rollers.
+    Attributes
+    ----------
+    ids : ndarray, shape (P,)
+        Particles, ascending.
+    polar : Polar
+        Speed (rollers: gain [m/s/Hz]) and φ with standard deviations that include the delay's; NaN
+        where nothing drove the particle.
+    force, force_std : ndarray, shape (P,)
+        Force and standard deviation [N]; NaN without radius or viscosity, and for rollers.
+    noise : Noise
+        D and σ at the delay.
+    delay : Delay
+        The delay in use.
+    log_likelihood : float
+        At the delay.
+    legs : list of Leg
+        The paper's own method for each particle.
+    gains : list of GainAt
+        Gains of rollers at each frequency.
+    warnings : list of str
+        Sentences on what makes numbers doubtful.
+    measured : ndarray of complex, shape (T, P)
+        Fitted tracks [m]; NaN in gaps.
+    predicted : ndarray of complex, shape (T, P)
+        Tracks of the model [m], from the start of each piece.
+    rolling : bool
+        Whether the particles are rollers.
     """
 
     ids: np.ndarray
@@ -68,9 +105,24 @@ class FitResult:
 
 
 def fit(session: Session, exposure: float = 0.0) -> FitResult:
-    """Fit v, φ of every particle of a `session`, D and σ, and the delay where commands allow it.
+    """Fit v and φ of every particle, D and σ, and the delay where the commands determine it.
 
-    `exposure` [s] of a frame. Raises InputError where there is too little to fit.
+    Parameters
+    ----------
+    session : Session
+        The recording.
+    exposure : float, optional
+        Exposure of a frame [s].
+
+    Returns
+    -------
+    FitResult
+        Estimates with standard deviations.
+
+    Raises
+    ------
+    InputError
+        If there are too few frames or no particle answers.
     """
     prepared = prepare(session)
     if len(prepared.times) < 4 or prepared.seen.sum() - prepared.seen.any(axis=0).sum() < 3:
@@ -104,7 +156,7 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
 
 
 def _with_delay(model: Model, fits: DelayedFits, plain: SessionFit) -> tuple[SessionFit, Delay]:
-    """The fit at the delay that the data demand; at none where they do not."""
+    """Return the fit at the delay that the data support; else at none."""
     *_, found = fits.posterior(plain.whitening.noise_ratio)
     if found is None or not found.determined:
         return plain, Delay()
@@ -115,7 +167,7 @@ def _with_delay(model: Model, fits: DelayedFits, plain: SessionFit) -> tuple[Ses
 
 
 def _steps(fit: SessionFit) -> list[str]:
-    """A sentence on each particle that jumped, or moved by more than diffusion explains."""
+    """Return a sentence on each particle that jumped, or moved by more than diffusion explains."""
     session = fit.session
     names, owner = np.unique(session.ids, return_inverse=True)
     large = np.bincount(owner, (np.abs(fit.residual) ** 2 > GATE).sum(axis=0))
@@ -129,7 +181,7 @@ def _steps(fit: SessionFit) -> list[str]:
 
 
 def _gains(fit: SessionFit, noise: Noise) -> list[GainAt]:
-    """The gain at every frequency driven, all fitted together; none for a continuous drive."""
+    """Return the gains at all frequencies, fitted together; none for a continuous drive."""
     session = fit.session
     frequency = np.abs(session.commands.frequency_at(session.times[:-1]))
     path = np.diff(fit.expected.along[:, 0])
@@ -151,7 +203,7 @@ def _gains(fit: SessionFit, noise: Noise) -> list[GainAt]:
 
 
 def _uneven(gains: list[GainAt]) -> list[str]:
-    """A sentence where gains differ between frequencies beyond their spread."""
+    """Return a sentence if gains differ between frequencies by more than their errors."""
     if len(gains) < 2:
         return []
     gain, weight = np.array([one.gain for one in gains]), np.array([one.std**-2 for one in gains])
@@ -167,7 +219,7 @@ def _uneven(gains: list[GainAt]) -> list[str]:
 
 
 def _of_particles(tracks: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """The tracks (T, N) of particles `ids` (N,), never two at once, as one for each: (T, P)."""
+    """Join the tracks (T, N) of particles `ids` (N,), never two at once, to one each: (T, P)."""
     joined = np.full((len(tracks), len(np.unique(ids))), np.nan + 0j)
     for track, n in zip(tracks.T, np.unique(ids, return_inverse=True)[1], strict=True):
         joined[:, n] = np.where(np.isnan(track), joined[:, n], track)
@@ -175,7 +227,7 @@ def _of_particles(tracks: np.ndarray, ids: np.ndarray) -> np.ndarray:
 
 
 def _predicted(fit: SessionFit) -> np.ndarray:
-    """The model's tracks (T, N), each piece from where it begins."""
+    """Return the tracks (T, N) of the model, each piece from its start."""
     pieces, moved = fit.session.pieces, fit.expected.at(fit.velocity_phasor)
     predicted = np.full(pieces.shape, np.nan + 0j)
     for n, piece in enumerate(pieces.T):

@@ -1,9 +1,9 @@
-"""How the camera is turned against the coils, from tracks under known commands.
+"""Rotation of the camera relative to the coils, from tracks under known commands.
 
-A particle goes v e^{iφ} u for a field along u. In a picture that is turned by ρ it goes
-v e^{i(φ−ρ)} u, so rotation and φ are told apart only by a convention: that φ is zero on average
-over the particles, or known. A mirrored picture turns the other way than the command: handedness
-needs no convention.
+A particle moves by v e^{iφ} u for a field along u. In an image that is rotated by ρ it moves by
+v e^{i(φ−ρ)} u. Only a convention separates rotation and φ: that φ is zero on average over the
+particles, or known. In a mirrored image particles turn against the command, so handedness needs no
+convention.
 """
 
 from __future__ import annotations
@@ -18,23 +18,42 @@ from microbot_ros.common.records import Session
 from microbot_ros.estimation.batch import fit
 
 CLEARLY = 10.0
-"""Log likelihood by which one handedness must beat the other: 1 in 22,000."""
+"""Log likelihood by which one handedness must exceed the other.
+
+Choice: odds of 22,000 to 1; less would let commands that hardly turn decide.
+"""
 
 USABLE = 0.5
-"""Radians: a φ known less well than this says nothing of the rotation."""
+"""Standard deviation of φ [rad] above which a particle does not contribute. Choice: 29°."""
 
 KNOWN = math.pi / 4
-"""Half the 95 % interval of the rotation from which it counts as not known."""
+"""Half-width [rad] of the 95 % interval above which the rotation counts as unknown.
+
+Choice: 45°, beyond which a correction may make it worse.
+"""
 
 
 @dataclass(frozen=True)
 class CameraTurn:
-    """What tracks tell of the camera that took them.
+    """Handedness and rotation of a camera, from K usable particles.
 
-    `mirrored`: the picture turns the other way than the command, by `log_odds` in log
-    likelihood. `angle` (K,) [rad]: how far each usable particle, of identity `ids` (K,), goes
-    beside the command, once unmirrored, φ allowed for; `angle_std` (K,). `turn` [rad] is what
-    they have in common, `interval` half of its 95 % interval; `phi_known`: whether φ was stated.
+    Attributes
+    ----------
+    mirrored : bool
+        Whether particles turn against the command in the image.
+    log_odds : float
+        Difference in log likelihood.
+    ids : ndarray, shape (K,)
+        The particles.
+    angle, angle_std : ndarray, shape (K,)
+        Direction of travel less the command and φ [rad], after unmirroring, and standard
+        deviation.
+    turn : float
+        Common angle [rad].
+    interval : float
+        Half-width of its 95 % interval [rad].
+    phi_known : bool
+        Whether φ was given.
     """
 
     mirrored: bool
@@ -48,14 +67,24 @@ class CameraTurn:
 
     @property
     def known(self) -> bool:
-        """Whether the particles have a direction in common at all."""
+        """Whether the particles have a common direction."""
         return self.interval < KNOWN
 
     def corrected(self, rotation: float, mirrored: bool) -> tuple[float, bool]:
-        """`rotation` [rad] and `mirrored` that `ImageToWorkspace` should have had.
+        """Return the settings that `ImageToWorkspace` should have had.
 
-        Given are those with which the tracks were taken. Where the turn is not known, only the
-        mirroring is put right.
+        Parameters
+        ----------
+        rotation : float
+            Rotation with which the tracks were recorded [rad].
+        mirrored : bool
+            Mirroring with which the tracks were recorded.
+
+        Returns
+        -------
+        (float, bool)
+            Corrected rotation [rad] and mirroring. If the turn is unknown, only the mirroring is
+            corrected.
         """
         turn = self.turn if self.known else 0.0
         if self.mirrored:
@@ -64,12 +93,25 @@ class CameraTurn:
 
 
 def camera_turn(session: Session, phi: float | None = None) -> CameraTurn:
-    """Handedness and turn of the camera, from particles under commands in several directions.
+    """Estimate handedness and rotation of the camera.
 
-    From the tracks and commands of a `session`. `phi` [rad] is the angle from the field to the
-    motion of every particle where it is known, such as 0 for rollers; else it is taken to be zero
-    on average. Raises InputError where the particles do not answer the commands, or the commands
-    don't show the handedness.
+    Parameters
+    ----------
+    session : Session
+        Particles under commands in several directions.
+    phi : float, optional
+        Angle from the field to the motion of every particle [rad], such as 0 for rollers; by
+        default it is zero on average.
+
+    Returns
+    -------
+    CameraTurn
+        The estimate.
+
+    Raises
+    ------
+    InputError
+        If no particle answers the commands, or the commands do not show the handedness.
     """
     mirror = replace(
         session, commands=replace(session.commands, field=session.commands.field * (1.0, -1.0)))
@@ -93,7 +135,7 @@ def camera_turn(session: Session, phi: float | None = None) -> CameraTurn:
 
 
 def _mean(angle: np.ndarray) -> tuple[float, float]:
-    """Mean direction (N,) [rad] and half its 95 % interval, whatever the distribution.
+    """Return the mean of angles (N,) [rad] and half its 95 % interval, for any distribution.
 
     From the circular dispersion (N. I. Fisher, Statistical Analysis of Circular Data, 1993,
     §4.4.4), with Student's t for few; infinite for one.
@@ -111,9 +153,9 @@ def _mean(angle: np.ndarray) -> tuple[float, float]:
 
 
 def _common(angle: np.ndarray, std: np.ndarray) -> tuple[float, float]:
-    """Weighted mean of angles that should be one (N,), and half its 95 % interval.
+    """Return the weighted mean of equal angles (N,), and half its 95 % interval.
 
-    Widened by √(χ²/(N − 1)) where they scatter more than they should.
+    Widened by √(χ²/(N − 1)) if they scatter more than their errors.
     """
     weight = 1 / std**2
     turn = float(np.angle(np.sum(weight * np.exp(1j * angle))))

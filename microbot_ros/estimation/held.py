@@ -1,4 +1,4 @@
-"""Which particles a wall or the edge of the dish holds, from how they answer commands there."""
+"""Particles that a wall or the edge of the dish holds, from their response to commands there."""
 
 from __future__ import annotations
 
@@ -7,39 +7,70 @@ from collections import deque
 import numpy as np
 
 FEWEST_FRAMES = 50
-"""Steps below which nothing is said."""
+"""Fewest steps for a conclusion. Choice: two seconds of a usual camera."""
 
 SURE = 4.0
-"""Standard deviations by which the motion into a wall is short of what the commands say."""
+"""Standard deviations by which the motion into a wall must fall short of the commands.
+
+Choice: far beyond chance; a larger value finds walls later.
+"""
 
 NORMALS = np.exp(2j * np.pi * np.arange(180) / 180)
-"""Directions in which a wall is looked for."""
+"""Directions in which a wall is searched. Choice: 2° apart; more only cost time."""
 
 BORDER, INNER = 1.5, 0.92
-"""Half the breadth of a border, in standard deviations of a step, and the quantile of places
-along its normal in its middle: beyond lies only the error of reading."""
+"""Half-width of a border, in standard deviations of a step, and the quantile (`INNER`) of places
+along its normal at its middle: beyond is only localisation error.
+
+Choice: a wider border contains free particles, a narrower one loses held ones."""
 
 LONG = 0.15
-"""Part of its steps that a particle is at a border if it is pressed against a wall there."""
+"""Smallest fraction of its steps that a held particle spends at the border.
+
+Choice: a smaller value holds particles that only touched a wall.
+"""
 
 HELD, LEGS = 0.25, 4
-"""Part of the way into a wall that it goes at most, under so many different commands: a flow
-balances one of them at most, and each at another place."""
+"""Largest fraction of the path into a wall that a held particle moves, under at least this many
+(`LEGS`) different commands.
+
+Choice: a flow balances one command at most, and each at another place."""
 
 SECONDS, SAMPLE = 12.0, 0.1
-"""Span of the recent past that is looked at, and time between its samples [s]. Choice: a particle
-that left a wall is known again after 12 s; half the span holds too few commands."""
+"""Span [s] of the recent past that is evaluated, and time between its samples (`SAMPLE`).
+
+Choice: a particle that left a wall is known again after 12 s; half the span has too few commands.
+"""
 
 ANOTHER = np.deg2rad(20.0)
-"""A command whose direction differs by this much is another one. At half of it noise of a
-controller counts as commands; at twice few controllers give four of them into one wall."""
+"""Difference of direction [rad] above which a command is another one.
+
+Choice: at half of it noise of a controller counts as commands; at twice few controllers give four
+of them into one wall.
+"""
 
 
 def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray) -> bool:
-    """Whether a wall holds a particle: `steps` (T,) from `z` (T,), `swum` (T,) for c = 1; complex.
+    """Return whether a wall holds a particle.
 
-    `legs` (T,): which command each was under. It is held where it is often at one straight border
-    of all that it visits, and there goes along it as the commands say, but hardly towards it.
+    A held particle is often at one straight border of all that it visits. There it moves along the
+    border as commanded, but hardly towards it.
+
+    Parameters
+    ----------
+    z : ndarray of complex, shape (T,)
+        Positions before each step [m].
+    steps : ndarray of complex, shape (T,)
+        Steps [m].
+    swum : ndarray of complex, shape (T,)
+        Expected steps for v e^{iφ} = 1.
+    legs : ndarray of int, shape (T,)
+        Number of the command of each step.
+
+    Returns
+    -------
+    bool
+        False for fewer than FEWEST_FRAMES steps.
     """
     if len(steps) < FEWEST_FRAMES or not swum.any():
         return False
@@ -52,8 +83,8 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
     normal, there, free = NORMALS[k], np.abs(inwards[:, k]) < breadth, inwards[:, k] > 2 * breadth
     if share.max() < LONG:
         return False
-    # A wall leaves the motion along it free, and all motion elsewhere: c by these, as two real
-    # numbers. By the motion along it alone c is hardly known where that keeps to one line.
+    # A wall permits motion along it, and all motion elsewhere: c is fitted to these, as two real
+    # numbers. Motion along the wall alone would determine c badly.
     along, way = (steps / (1j * normal)).real, swum / (1j * normal)
     moved, ways = np.append(along, (steps / normal).real[free]), np.append(way, 1j * way[free])
     columns = np.stack([ways.real, -ways.imag], axis=1)
@@ -70,7 +101,13 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
 
 
 class HeldWatch:
-    """The recent past of every particle, and which of them are `held`: sets of identities."""
+    """Recent past of every particle, and which of them are held.
+
+    Attributes
+    ----------
+    held : set of int
+        Particles that a wall holds.
+    """
 
     def __init__(self) -> None:
         self.held: set[int] = set()
@@ -82,10 +119,26 @@ class HeldWatch:
 
     def add(self, t: float, ids: np.ndarray, z: np.ndarray, seen: np.ndarray,
             moved: dict[int, tuple[complex, complex]]) -> list[int]:
-        """Add a frame at `t` [s] of particles `ids` (N,) that were `seen` (N,) at `z` (N,) [m].
+        """Add a frame.
 
-        `moved` says of each that was there before how far, since the frame before, the commands
-        moved c = 1, and what the model says of drift [m]. Return which are free again.
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        ids : ndarray, shape (N,)
+            Particles.
+        z : ndarray of complex, shape (N,)
+            Positions [m].
+        seen : ndarray of bool, shape (N,)
+            Which of them were seen.
+        moved : dict of int to (complex, complex)
+            For each particle of the frame before, the displacement since then for v e^{iφ} = 1,
+            and by drift [m].
+
+        Returns
+        -------
+        list of int
+            Particles that are free again.
         """
         names = ids.tolist()
         nothing = 0j, 0j
@@ -102,7 +155,7 @@ class HeldWatch:
                     self._tracks[name].append((t, place, self._ways[name], self._carried[name]))
         before = self.held & set(names)
         self.held = set(before)
-        if names:  # one a frame: a look takes half a millisecond
+        if names:  # one per frame, since each takes half a millisecond
             self._turn = (self._turn + 1) % len(names)
             self._look(names[self._turn])
         return sorted(before - self.held)
@@ -117,7 +170,7 @@ class HeldWatch:
 
 
 def _legs(direction: np.ndarray) -> np.ndarray:
-    """Number (T,) of the command that each step was under, by its `direction` (T,) [rad]."""
+    """Return the number (T,) of the command of each step, by its `direction` (T,) [rad]."""
     legs, first = np.zeros(len(direction), int), direction[0] if len(direction) else 0.0
     for k in range(1, len(direction)):
         another = abs(np.angle(np.exp(1j * (direction[k] - first)))) > ANOTHER

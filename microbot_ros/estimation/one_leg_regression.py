@@ -1,4 +1,4 @@
-"""The paper's own recipe: terminal speed and a linear regression over one straight leg."""
+"""The paper's own method: terminal speed by a linear regression over one straight leg."""
 
 from __future__ import annotations
 
@@ -11,11 +11,19 @@ from microbot_ros.common.records import Commands, Session
 
 @dataclass(frozen=True)
 class Leg:
-    """One particle over one leg, from `start` to `end` [s]: the regression's result.
+    """Regression of one particle over one leg.
 
-    `speed` ± `speed_std` [m/s, or m/s/Hz] and `phi` ± `phi_std` [rad]. NaN where no leg of
-    constant command holds three sightings. The standard deviations are the ordinary ones of least
-    squares, which take positions for independent: they are too small.
+    Standard deviations are those of ordinary least squares, which assume independent positions:
+    they are too small. All are NaN if no leg of constant command has three sightings.
+
+    Attributes
+    ----------
+    speed, speed_std : float
+        Speed and standard deviation [m/s, or m/s/Hz].
+    phi, phi_std : float
+        Angle of travel from the field and standard deviation [rad].
+    start, end : float
+        Start and end of the leg [s].
     """
 
     speed: float
@@ -27,10 +35,22 @@ class Leg:
 
 
 _NONE = Leg(*[np.nan] * 6)
+"""Result without a leg."""
 
 
 def one_leg(session: Session) -> list[Leg]:
-    """The recipe for every particle of a `session`, over the longest stretch of one command."""
+    """Apply the method to every particle, over the longest time of one command.
+
+    Parameters
+    ----------
+    session : Session
+        The recording.
+
+    Returns
+    -------
+    list of Leg
+        One for each particle.
+    """
     times, positions = session.tracks.grid()
     z = positions[..., 0] + 1j * positions[..., 1]
     rolling = session.conditions.propulsion == 'rolling'
@@ -42,7 +62,7 @@ def one_leg(session: Session) -> list[Leg]:
 def _longest(
     commands: Commands, rolling: bool, last: float, first: float,
 ) -> tuple[float, float, complex]:
-    """Start, end [s] and drive of the longest stretch of one command within the record."""
+    """Return start, end [s] and drive of the longest time of one command in the recording."""
     drive = commands.field[:, 0] + 1j * commands.field[:, 1]
     strength = np.abs(drive)
     drive = np.where(strength > 0, drive / np.where(strength > 0, strength, 1), 0)

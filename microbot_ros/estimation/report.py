@@ -1,4 +1,4 @@
-"""A fit for people and programs: `fit.json`, a table and a figure, in units at the edge."""
+"""Fit for people and programs: `fit.json`, a table and a figure."""
 
 from __future__ import annotations
 
@@ -16,14 +16,33 @@ if TYPE_CHECKING:
 
 
 def speed_key(fit: FitResult) -> str:
-    """The name of a particle's speed in the files of a `fit`: v, or for rollers the gain."""
+    """Return the name of a particle's speed in the files of a fit.
+
+    Parameters
+    ----------
+    fit : FitResult
+        The fit.
+
+    Returns
+    -------
+    str
+        `v_um_s`, or `gain_um_s_hz` for rollers.
+    """
     return 'gain_um_s_hz' if fit.rolling else 'v_um_s'
 
 
 def as_json(fit: FitResult) -> dict[str, Any]:
-    """A `fit` as `fit.json`: laid out like `baseline` in `result.json`, and what else it knows.
+    """Return the content of `fit.json`, in the form of `baseline` in `result.json`.
 
-    What is not known is null.
+    Parameters
+    ----------
+    fit : FitResult
+        The fit.
+
+    Returns
+    -------
+    dict
+        Numbers in the units of their names; None where unknown.
     """
     speeds, key = fit.polar, speed_key(fit)
     particles = {}
@@ -61,7 +80,18 @@ def _leg(leg: Leg, key: str) -> dict[str, Any]:
 
 
 def table(fit: FitResult) -> Table:
-    """Every particle of a `fit` with 95 % intervals, the paper's one-leg recipe beside it."""
+    """Return a table of every particle with 95 % intervals, beside the one-leg method.
+
+    Parameters
+    ----------
+    fit : FitResult
+        The fit.
+
+    Returns
+    -------
+    rich.table.Table
+        One row per particle.
+    """
     from rich.table import Table
 
     unit = symbol(speed_key(fit))
@@ -93,7 +123,15 @@ def _interval(value: float, std: float) -> str:
 
 
 def figure(fit: FitResult, path: Path) -> None:
-    """A `fit` as a picture at `path`: intervals beside the one-leg recipe, tracks, the model's."""
+    """Draw a fit: intervals beside the one-leg method, and measured and modelled tracks.
+
+    Parameters
+    ----------
+    fit : FitResult
+        The fit.
+    path : Path
+        Image file.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -120,7 +158,20 @@ def figure(fit: FitResult, path: Path) -> None:
 
 
 def beside(angle: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The `angle` (N,) [rad], by whole turns as near to the `other` (N,) as it gets."""
+    """Add whole turns to angles so that they are as near as possible to other angles.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (N,)
+        Angles [rad].
+    other : ndarray, shape (N,)
+        Other angles [rad].
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Angles within π of the others [rad].
+    """
     return other + np.angle(np.exp(1j * (angle - other)))
 
 

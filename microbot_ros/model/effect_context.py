@@ -1,4 +1,4 @@
-"""What an effect can look at: when, where the particles are, and the field they feel."""
+"""What effects depend on: times, places of particles, and the field that they feel."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from typing import TypeVar
 import numpy as np
 
 CLOSEST = 1e-6
-"""Pair terms see no distance below this [m]: closer than any two of these spheres can come."""
+"""Distance [m] below which pair interactions are constant.
+
+Choice: centres of spheres in use are never so close; it avoids division by zero.
+"""
 
 
 Given = TypeVar('Given')
 
 
 def _known(value: Given | None, what: str) -> Given:
-    """The `value`; ValueError saying `what` is needed where there is none."""
+    """Return the `value`; raise ValueError that says `what` is needed if it is None."""
     if value is None:
         raise ValueError(f'an effect of this model needs {what}; received none')
     return value
@@ -24,9 +27,16 @@ def _known(value: Given | None, what: str) -> Given:
 
 @dataclass(frozen=True)
 class Places:
-    """Where the particles are, `position` (..., N, 2) [m], NaN where one is missing.
+    """Places of N particles.
 
-    `number` (N,) integers and `direction` (N,) [rad], their φ, where it matters which they are.
+    Attributes
+    ----------
+    position : ndarray, shape (..., N, 2)
+        Positions [m]; NaN for a missing particle.
+    number : ndarray of int, shape (N,), or None
+        Ids, for terms that differ between particles.
+    direction : ndarray, shape (N,), or None
+        φ [rad], for terms that depend on the heading.
     """
 
     position: np.ndarray
@@ -34,23 +44,34 @@ class Places:
     direction: np.ndarray | None = None
 
     def led_by(self, lead: int) -> Places:
-        """The same after `lead` spans more, in which particles are where they are at first."""
+        """Prepend spans in which particles stay at their first places.
+
+        Parameters
+        ----------
+        lead : int
+            Number of spans.
+
+        Returns
+        -------
+        Places
+            With `lead` more spans.
+        """
         before = np.repeat(self.position[:1], lead, axis=0)
         return Places(np.concatenate([before, self.position]), self.number, self.direction)
 
     @property
     def ids(self) -> np.ndarray:
-        """The numbers (N,) of the particles; ValueError where they were not given."""
+        """Ids (N,) of the particles; ValueError if they were not given."""
         return _known(self.number, 'to know which particle is which')
 
     @property
     def phi(self) -> np.ndarray:
-        """φ (N,) [rad] of the particles; ValueError where it was not given."""
+        """φ (N,) [rad] of the particles; ValueError if it was not given."""
         return _known(self.direction, 'φ of the particles')
 
     @cached_property
     def separation(self) -> np.ndarray:
-        """From neighbour j (last axis) to particle i, x + iy (..., N, N) [m]."""
+        """Vector from neighbour j (last axis) to particle i, x + iy (..., N, N) [m]."""
         z = self.position[..., 0] + 1j * self.position[..., 1]
         return z[..., :, None] - z[..., None, :]
 
@@ -58,7 +79,7 @@ class Places:
     def _inverse_distance(self) -> np.ndarray:
         """1/r (..., N, N) [1/m], at most 1/CLOSEST.
 
-        Zero for a particle and itself and where either is missing, so that neither acts.
+        Zero for a particle and itself, and if either is missing, so that neither acts.
         """
         distance = np.abs(self.separation)
         distance[~np.isfinite(distance)] = np.inf
@@ -71,7 +92,7 @@ class Places:
 
     @cached_property
     def dipole_sums(self) -> tuple[np.ndarray, np.ndarray]:
-        """Σⱼ e/r⁴ and Σⱼ e³/r⁴ (..., N) [m⁻⁴], e = e^{iα} from neighbour j towards particle i."""
+        """Σⱼ e/r⁴ and Σⱼ e³/r⁴ (..., N) [m⁻⁴], e = e^{iα} from neighbour j to particle i."""
         near = self._inverse_distance
         e = np.where(near > 0, self.separation, 0.0) * near
         return (near**4 * e).sum(axis=-1), (near**4 * (e * e * e)).sum(axis=-1)
@@ -79,12 +100,24 @@ class Places:
 
 @dataclass(frozen=True)
 class EffectContext:
-    """The state of the world in which effects are evaluated, at times of any shape (...).
+    """State of the world at which effects are evaluated, at times of any shape (...).
 
-    `t` (..., 1) [s] is the middle of a span of length `span` (..., 1) [s] over which effects may
-    average (zero: at an instant); `field` (..., 1, 2) [T] is the field after stage 1, the same
-    for all particles; `frequency` (..., 1) [Hz] the drive's rotation; `reference_field` [T];
-    `since` (..., 1) [s] the time since the command last changed, None where nobody counts it.
+    Attributes
+    ----------
+    t : ndarray, shape (..., 1)
+        Middle of a span [s].
+    span : ndarray, shape (..., 1)
+        Length of the span [s] over which effects may average; 0 for an instant.
+    field : ndarray, shape (..., 1, 2)
+        Field after stage 1 [T], the same for all particles.
+    frequency : ndarray, shape (..., 1)
+        Rotation of the drive [Hz].
+    reference_field : float
+        Field at which alignment times are stated [T].
+    places : Places or None
+        Places of the particles.
+    since : ndarray, shape (..., 1), or None
+        Time since the command last changed [s]; None if it is not computed.
     """
 
     t: np.ndarray
@@ -97,30 +130,56 @@ class EffectContext:
 
     @cached_property
     def strength(self) -> np.ndarray:
-        """|B| (..., 1) [T]."""
+        """Strength of the field |B| (..., 1) [T]."""
         return np.hypot(self.field[..., 0], self.field[..., 1])
 
     @property
     def position(self) -> np.ndarray:
-        """Positions (..., N, 2) [m]; NaN where a particle is missing."""
+        """Positions (..., N, 2) [m]; NaN for a missing particle."""
         return self.known_places.position
 
     @property
     def known_places(self) -> Places:
-        """The places, for effects that need them; ValueError where none were given."""
+        """The places, for effects that need them; ValueError if none were given."""
         return _known(self.places, 'positions')
 
     @property
     def since_switch(self) -> np.ndarray:
-        """Time (..., 1) [s] since the command last changed; ValueError where nobody counts it."""
+        """Time (..., 1) [s] since the command last changed; ValueError if it is not computed."""
         return _known(self.since, 'the time since the command changed')
 
     def after(self, lead: int, places: Places | None = None) -> EffectContext:
-        """The context without its first `lead` times, at these places."""
+        """Return the context without its first times.
+
+        Parameters
+        ----------
+        lead : int
+            Number of times that are removed.
+        places : Places, optional
+            New places.
+
+        Returns
+        -------
+        EffectContext
+            The later times.
+        """
         return self._select(slice(lead, None), places)
 
     def at(self, k: int, places: Places) -> EffectContext:
-        """The context at the k-th of its times, at these places."""
+        """Return the context at one of its times.
+
+        Parameters
+        ----------
+        k : int
+            Index of the time.
+        places : Places
+            New places.
+
+        Returns
+        -------
+        EffectContext
+            The k-th time.
+        """
         return self._select(k, places)
 
     def _select(self, times: int | slice, places: Places | None) -> EffectContext:

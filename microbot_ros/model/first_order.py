@@ -1,4 +1,4 @@
-"""The first-order integrator: exact for commands that hold until the next."""
+"""First-order integrator: exact for piecewise constant commands."""
 
 from __future__ import annotations
 
@@ -17,13 +17,33 @@ from microbot_ros.model.timeline import Timeline
 
 def simulate(model: Model, particles: ParticleParameters, commands: Commands, times: np.ndarray,
              start: np.ndarray, heading: np.ndarray | None = None) -> np.ndarray:
-    """True positions (T, N, 2) [m] at `times` (T,) [s] of particles that begin at `start` (N, 2).
+    """Simulate true positions of particles.
 
-    `heading` θ (N,) [rad] at the first time; without it, aligned to the field in force, or held
-    from the last field before. Where no effect depends on position the result is exact and needs
-    no steps: position = start + v e^{iφ} ∫e^{i(θ−φ)} dt + ∫drift dt. Otherwise a fourth-order
-    Runge–Kutta step is made over each span of at most `timeline.LONGEST`, with the exact mean of
-    the heading. Use `model.observe` for what a camera would report.
+    Without effects that depend on position the result is exact and needs no steps: position =
+    start + v e^{iφ} ∫e^{i(θ−φ)} dt + ∫drift dt. Otherwise a fourth-order Runge–Kutta step is made
+    over each span of at most `timeline.LONGEST`, with the exact mean of the heading. Use
+    `model.observe` for what a camera would report.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    particles : ParticleParameters
+        N particles.
+    commands : Commands
+        Commands.
+    times : ndarray, shape (T,)
+        Times [s], ascending.
+    start : ndarray, shape (N, 2)
+        Positions at the first time [m].
+    heading : ndarray, shape (N,), optional
+        θ at the first time [rad]; by default aligned to the field in force, or held from the last
+        field before.
+
+    Returns
+    -------
+    ndarray, shape (T, N, 2)
+        Positions [m].
     """
     timeline = Timeline(commands, times)
     begin = None if heading is None else np.exp(1j * (np.asarray(heading) - particles.phi))
@@ -37,10 +57,10 @@ def simulate(model: Model, particles: ParticleParameters, commands: Commands, ti
 
 
 def _spread(response: Response, velocity: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """All trajectories at once, where the particles share one course and one drift.
+    """Return all trajectories of particles that share one course and one drift.
 
-    As complex numbers, positions are the path @ (velocity, 1, start). With the real and imaginary
-    parts of the path as columns one product of real matrices writes every position once.
+    As complex numbers, positions are the path @ (velocity, 1, start). With real and imaginary
+    parts of the path as columns, one product of real matrices writes every position once.
     """
     path = np.zeros((len(response.propulsion) + 1, 3), dtype=complex)
     np.cumsum(response.propulsion[:, 0], out=path[1:, 0])
@@ -56,7 +76,7 @@ def _spread(response: Response, velocity: np.ndarray, start: np.ndarray) -> np.n
 
 def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start: np.ndarray,
           begin: np.ndarray | None) -> np.ndarray:
-    # What turns headings by place is asked at every step.
+    # Terms that turn headings by place are evaluated at every step.
     local = tuple(one for one in model.learned if one.needs_position and one.acts_on == 'heading')
     rest = replace(model, learned=tuple(one for one in model.learned if one not in local))
     segments, course, context = integrate_heading(rest, timeline, begin)
@@ -83,7 +103,7 @@ def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start
 
 
 def _velocity(model: Model, context: EffectContext, propulsion: np.ndarray) -> np.ndarray:
-    """dp/dt (N, 2) in a context under a propulsion (N,) before the speed's factors."""
+    """Return dp/dt (N, 2) under a propulsion (N,) before the factors on speed."""
     velocity = as_vectors(propulsion * model.speed_factor(context))
     drift = model.drift(context)
     return velocity if drift is None else velocity + drift

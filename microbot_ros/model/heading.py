@@ -1,4 +1,4 @@
-"""Stage 2 over time: where every particle heads, at once or with lag."""
+"""Stage 2 over time: the heading of every particle, immediate or with lag."""
 
 from __future__ import annotations
 
@@ -14,12 +14,18 @@ from microbot_ros.model.timeline import Segments, Timeline
 
 @dataclass(frozen=True)
 class Course:
-    """The heading less φ, χ = θ − φ, through S spans; n is 1 where all particles share it.
+    """Heading less φ, χ = θ − φ, in S spans; n is 1 if all particles share it.
 
-    `heading` (S + 1, n): e^{iχ} at the edges, zero where the heading is not defined yet; `path`
-    (S, n) [s]: ∫e^{iχ} dt over each span; `heading_sensitivity` (S, n) [s]: the derivative of
-    `path` with respect to χ at the start of the span; `heading_retention` (S, n): that of χ at
-    its end.
+    Attributes
+    ----------
+    heading : ndarray of complex, shape (S + 1, n)
+        e^{iχ} at the edges; 0 where the heading is not defined yet.
+    path : ndarray of complex, shape (S, n)
+        ∫e^{iχ} dt over each span [s].
+    heading_sensitivity : ndarray of complex, shape (S, n)
+        Derivative of `path` by χ at the start of the span [s].
+    heading_retention : ndarray, shape (S, n)
+        Derivative of χ at the end of the span by χ at its start.
     """
 
     heading: np.ndarray
@@ -28,17 +34,43 @@ class Course:
     heading_retention: np.ndarray
 
     def after(self, lead: int) -> Course:
-        """The course without its first `lead` spans."""
+        """Return the course without its first spans.
+
+        Parameters
+        ----------
+        lead : int
+            Number of spans that are removed.
+
+        Returns
+        -------
+        Course
+            The later spans.
+        """
         return Course(*(getattr(self, field.name)[lead:] for field in fields(self)))
 
 
 def integrate_heading(
     model: Model, timeline: Timeline, start: np.ndarray | None = None,
 ) -> tuple[Segments, Course, EffectContext]:
-    """The heading under a `model` through a `timeline`: its spans, the course, the context.
+    """Integrate the heading under a model from the first frame on.
 
-    Course and context begin with the first frame. `start` (N,) is e^{iχ} there; without it the
-    history of commands decides.
+    Parameters
+    ----------
+    model : Model
+        The model.
+    timeline : Timeline
+        Commands and frames.
+    start : ndarray of complex, shape (N,), optional
+        e^{iχ} at the first frame; by default the earlier commands determine it.
+
+    Returns
+    -------
+    segments : Segments
+        Spans of the timeline.
+    course : Course
+        Heading in each span.
+    context : EffectContext
+        What effects depend on in each span.
     """
     segments = timeline.segments(model)
     context = segments.context(model)
@@ -59,9 +91,22 @@ def heading_course(
 ) -> Course:
     """Integrate the heading through consecutive spans of constant field.
 
-    `context` has S spans; `start` (n,) is e^{iχ} when they begin. Without it the heading begins
-    with the first field that is not zero, aligned to it, and is undefined before. Where the field
-    is zero it stays.
+    Without a field the heading stays.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    context : EffectContext
+        S spans.
+    start : ndarray of complex, shape (n,), optional
+        e^{iχ} at the start. By default the heading begins aligned to the first field that is not
+        zero, and is undefined before.
+
+    Returns
+    -------
+    Course
+        Heading in each span.
     """
     target, driven = _target(model, context)
     rate = model.alignment_rate(context)
@@ -84,7 +129,7 @@ def heading_course(
 
 
 def _target(model: Model, context: EffectContext) -> tuple[np.ndarray, np.ndarray]:
-    """e^{iχ} that the field asks for (S, n), zero without a field, and whether there is one."""
+    """Return e^{iχ} that the field demands (S, n), 0 without a field, and whether there is one."""
     field = as_complex(context.field)
     strength = np.abs(field)
     driven = strength > 0
@@ -93,7 +138,7 @@ def _target(model: Model, context: EffectContext) -> tuple[np.ndarray, np.ndarra
 
 
 def _hold(target: np.ndarray, driven: np.ndarray, start: np.ndarray | None) -> np.ndarray:
-    """The target with each span without a field taking over the last heading before it."""
+    """Return the target with spans without a field filled by the last heading before."""
     before = np.zeros((1, 1)) if start is None else np.asarray(start)[None]
     shape = (len(target), max(before.shape[1], target.shape[1]))
     known = np.concatenate([np.broadcast_to(before, (1, shape[1])),

@@ -1,4 +1,4 @@
-"""What a model says of every frame interval: the displacements that fits compare with."""
+"""Displacements of a model in each frame interval, which fits compare with data."""
 
 from __future__ import annotations
 
@@ -18,12 +18,21 @@ from microbot_ros.model.timeline import Segments, Timeline
 
 @dataclass(frozen=True)
 class Response:
-    """Displacements over each of T−1 frame intervals, before the particles' v and φ are known.
+    """Displacements in each of T − 1 frame intervals, for any v and φ.
 
-    A particle with c = v e^{iφ} moves by c · `propulsion` + `drift`. `propulsion` (T−1, 1 or N)
-    complex [s], for rolling particles [s·Hz]; `drift` (T−1, 1 or N, 2) [m]; both are true
-    displacements, `model.observe` makes them measured. `heading` (T, 1 or N): e^{i(θ−φ)} at the
-    frames, zero where it is not defined yet.
+    A particle with c = v e^{iφ} moves by c · `propulsion` + `drift`. Both are true displacements;
+    `model.observe` converts them to measured ones.
+
+    Attributes
+    ----------
+    model : Model
+        The model.
+    propulsion : ndarray of complex, shape (T − 1, 1 or N)
+        Displacement per unit c [s], for rollers [s·Hz].
+    drift : ndarray, shape (T − 1, 1 or N, 2)
+        Displacement by drift [m].
+    heading : ndarray of complex, shape (T, 1 or N)
+        e^{i(θ−φ)} at the frames; 0 where it is not defined yet.
     """
 
     model: Model
@@ -32,30 +41,65 @@ class Response:
     heading: np.ndarray
 
     def increments(self, particles: ParticleParameters) -> np.ndarray:
-        """Measured displacements (T−1, N, 2) [m]; NaN only where a particle's own place is."""
+        """Return measured displacements.
+
+        Parameters
+        ----------
+        particles : ParticleParameters
+            N particles.
+
+        Returns
+        -------
+        ndarray, shape (T − 1, N, 2)
+            Displacements [m]; NaN only where a particle's own place is.
+        """
         moved = as_vectors(particles.velocity_phasor * self.propulsion)
         moved += self.drift
         return self.model.observe(moved)
 
     def columns(self) -> np.ndarray:
-        """Derivatives (T−1, 1 or N, 2, 2) of the measured displacements; last axes (xy, ab).
+        """Return the derivatives of measured displacements by v cos φ and v sin φ.
 
         With a = v cos φ and b = v sin φ the increments are `columns() @ (a, b) + offset()`.
+
+        Returns
+        -------
+        ndarray, shape (T − 1, 1 or N, 2, 2)
+            Derivatives [s]; last axes (xy, ab).
         """
         along = np.stack([as_vectors(self.propulsion), as_vectors(1j * self.propulsion)], axis=-2)
         return np.swapaxes(self.model.observe(along), -1, -2)
 
     def offset(self) -> np.ndarray:
-        """The measured displacements (T−1, 1 or N, 2) [m] that do not depend on v and φ."""
+        """Return the measured displacements that do not depend on v and φ.
+
+        Returns
+        -------
+        ndarray, shape (T − 1, 1 or N, 2)
+            Displacements [m].
+        """
         return self.model.observe(self.drift)
 
 
 def respond(model: Model, timeline: Timeline, start: np.ndarray | None = None) -> Response:
-    """The response of a model on a timeline: exact for commands that hold until the next.
+    """Return the response of a model on a timeline, exact for piecewise constant commands.
 
-    Switches inside a frame interval, delays and the turning of a lagging heading are integrated
-    in closed form; terms that depend on position are taken at the timeline's positions. `start`
-    (N,) is e^{i(θ−φ)} at the first frame; without it the heading follows from the commands.
+    Command changes within a frame interval, delays and a lagging heading are integrated in closed
+    form. Effects that depend on position are evaluated at the timeline's positions.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    timeline : Timeline
+        Commands and frames.
+    start : ndarray of complex, shape (N,), optional
+        e^{i(θ−φ)} at the first frame; by default it follows from the commands.
+
+    Returns
+    -------
+    Response
+        Displacements in each frame interval.
     """
     if model.is_first_order and (start is None or len(start) == 1):
         return _directly(model, timeline, 0j if start is None else complex(start[0]))
@@ -73,7 +117,7 @@ def respond(model: Model, timeline: Timeline, start: np.ndarray | None = None) -
 
 def _drifted(effect: Effect | LearnedTerm, segments: Segments,
              context: EffectContext) -> np.ndarray:
-    """What one effect drifts in every frame interval (T−1, 1 or N, 2) [m]."""
+    """Return the displacements by one effect's drift (T − 1, 1 or N, 2) [m]."""
     drift = effect.drift(context)
     if drift is None:
         return np.zeros((len(segments.first), 1, 2))
@@ -81,7 +125,7 @@ def _drifted(effect: Effect | LearnedTerm, segments: Segments,
 
 
 def _directly(model: Model, timeline: Timeline, start: complex) -> Response:
-    """The same where no effect acts, in a fraction of the time."""
+    """Return the response without any effect, in a fraction of the time."""
     from microbot_ros.model.physics.alignment_kernel import integrate_direction
 
     commands, times = timeline.commands, timeline.times
@@ -93,14 +137,39 @@ def _directly(model: Model, timeline: Timeline, start: complex) -> Response:
 
 
 def increments(model: Model, particles: ParticleParameters, timeline: Timeline) -> np.ndarray:
-    """∫ velocity dt over each frame interval as the camera would report it: (T−1, N, 2) [m]."""
+    """Return ∫ velocity dt over each frame interval, as the camera would report it.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    particles : ParticleParameters
+        N particles.
+    timeline : Timeline
+        Commands and T frames.
+
+    Returns
+    -------
+    ndarray, shape (T − 1, N, 2)
+        Displacements [m].
+    """
     return respond(model, timeline).increments(particles)
 
 
 def beyond_learned(model: Model, timeline: Timeline) -> dict[str, np.ndarray]:
-    """Which particles (T−1, 1 or N) are where no data were when a term of a `model` was learned.
+    """Return which particles are where a learned term has no data, and has faded to zero.
 
-    By covariate, in the frame intervals of a `timeline`: there the term fades to nothing.
+    Parameters
+    ----------
+    model : Model
+        The model.
+    timeline : Timeline
+        Commands and T frames.
+
+    Returns
+    -------
+    dict of str to ndarray of bool, shape (T − 1, 1 or N)
+        By covariate, in each frame interval.
     """
     if not model.learned:
         return {}
@@ -111,12 +180,17 @@ def beyond_learned(model: Model, timeline: Timeline) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class HeadingResponse:
-    """How a small turn of the heading at a frame is felt until the next.
+    """Effect of a small rotation of the heading at a frame until the next.
 
-    `theta` (T, N) [rad], NaN where not defined yet; `heading_sensitivity` (T−1, N, 2) [m/rad]:
-    the derivative of each measured increment with respect to θ at its start; `heading_retention`
-    (T−1, N): the part of the turn that is left at its end, 0 where alignment is immediate, 1
-    without a field.
+    Attributes
+    ----------
+    theta : ndarray, shape (T, N)
+        Heading at the frames [rad]; NaN where not defined yet.
+    heading_sensitivity : ndarray, shape (T − 1, N, 2)
+        Derivative of each measured increment by θ at its start [m/rad].
+    heading_retention : ndarray, shape (T − 1, N)
+        Fraction of the rotation that remains at the end of the interval: 0 for immediate
+        alignment, 1 without a field.
     """
 
     theta: np.ndarray
@@ -126,9 +200,23 @@ class HeadingResponse:
 
 def heading_response(model: Model, particles: ParticleParameters,
                      timeline: Timeline) -> HeadingResponse:
-    """The heading of `particles` at the frames of a `timeline`, and what noise in it does.
+    """Return headings at the frames, and the effect of noise in them.
 
-    For a filter of positions whose state holds the heading too.
+    For a filter of positions whose state includes the heading.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    particles : ParticleParameters
+        N particles.
+    timeline : Timeline
+        Commands and T frames.
+
+    Returns
+    -------
+    HeadingResponse
+        Headings, sensitivities and retentions.
     """
     from microbot_ros.model.physics.alignment_kernel import chain_intervals
 

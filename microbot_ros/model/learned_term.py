@@ -1,8 +1,7 @@
-"""A term that was learned from data: a table of one covariate, where no effect has a name for it.
+"""Learned term: a table over one covariate, where no known effect explains the data.
 
-It acts as an effect does, on the velocity, the speed or the heading, and holds nothing but
-numbers: values at knots of the covariate, linear between them. Beyond the region in which it was
-learned it fades to nothing.
+It changes velocity, speed or heading as an effect does, and consists of numbers only: values at
+knots of the covariate, linear between them. Beyond the region of the data it fades to zero.
 """
 
 from __future__ import annotations
@@ -19,9 +18,16 @@ from microbot_ros.model.effect_context import EffectContext
 Against = Literal[
     'position', 'time', 'time since switch', 'command angle', 'heading', 'field strength',
     'frequency', 'neighbour distance', 'particle']
+"""Covariate of a term."""
+
 Frame = Literal['laboratory', 'heading', 'radial']
+"""Frame of its values."""
+
 ActsOn = Literal['velocity', 'speed', 'heading']
+"""Quantity that it changes."""
+
 COVARIATES: tuple[str, ...] = get_args(Against)
+"""All covariates."""
 
 AXES: dict[str, tuple[str, ...]] = {
     'position': ('x_um', 'y_um'),
@@ -34,7 +40,7 @@ AXES: dict[str, tuple[str, ...]] = {
     'neighbour distance': ('distance_um',),
     'particle': ('particle',),
 }
-"""What the knots of each covariate are called in files, with their unit."""
+"""Names, with unit, of the knots of each covariate in files."""
 
 VALUES: dict[tuple[str, str], tuple[str, ...]] = {
     ('laboratory', 'velocity'): ('x_um_s', 'y_um_s'),
@@ -43,23 +49,40 @@ VALUES: dict[tuple[str, str], tuple[str, ...]] = {
     ('radial', 'speed'): ('factor',),
     ('heading', 'heading'): ('turn_rad',),
 }
-"""What values are called, by the frame and what the term acts on: which pairs there are."""
+"""Names, with unit, of the values in files, for each allowed frame and acted-on quantity."""
 
 PERIODIC = ('command angle', 'heading')
-"""Covariates that are the same again a turn on; their knots divide the turn equally."""
+"""Covariates of period 2π; their knots divide the turn equally."""
 
 
 @dataclass(frozen=True)
 class LearnedTerm:
-    """A table of what is missing `against` a covariate, in a `frame`, of what it `acts_on`.
+    """Table of K knots and C components of what is missing in the model.
 
-    `axes`: the knots (K,) of the covariate, ascending, in SI; of a position those of x and those
-    of y, which make a grid. `values` (K, C), for a grid x by x: of a velocity its x and y [m/s],
-    or away from a neighbour and around it, anticlockwise, summed over neighbours; of a speed what
-    is added to the factor 1, by each neighbour in the frame `radial`; of a heading the angle that
-    is added [rad]. `low`, `high` (K, C): the 95 % band. `seen` (K,): whether data were there; the
-    values fade to nothing beyond. `formula` and its `parameters`, where one was found that
-    explains as much: told to people, the table is what acts.
+    Attributes
+    ----------
+    against : Against
+        The covariate.
+    frame : Frame
+        Frame of the values.
+    acts_on : ActsOn
+        Quantity that it changes.
+    axes : tuple of ndarray, shape (K,)
+        Knots of the covariate, ascending, SI. For positions those of x and of y, which make a
+        grid.
+    values : ndarray, shape (K, C)
+        Values at the knots, for a grid x by x. Of a velocity x and y [m/s]; in the frame `radial`
+        away from a neighbour and anticlockwise around it, summed over neighbours. Of a speed what
+        is added to the factor 1, by each neighbour in the frame `radial`. Of a heading the added
+        angle [rad].
+    low, high : ndarray, shape (K, C)
+        95 % band.
+    seen : ndarray of bool, shape (K,)
+        Whether the knot had data; values fade to zero beyond.
+    formula : str or None
+        Formula that explains as much, for people: the table is what acts.
+    parameters : mapping of str to float
+        Parameters of the formula.
     """
 
     against: Against
@@ -90,32 +113,76 @@ class LearnedTerm:
 
     @property
     def needs_position(self) -> bool:
-        """Whether it has to know where the particles are, or which they are."""
+        """Whether it depends on the places or the identities of particles."""
         return self.against in ('position', 'neighbour distance', 'heading', 'particle')
 
     @property
     def time_invariant(self) -> bool:
-        """Whether it is the same at all times while the command stays."""
+        """Whether it is constant in time under a constant command."""
         return self.against not in ('time', 'time since switch')
 
-    # What it does -------------------------------------------------------------------------------
+    # Its action ---------------------------------------------------------------------------------
 
     def heading_offset(self, context: EffectContext) -> np.ndarray | float:
-        """The angle (..., 1 or N) [rad] that it adds to the heading."""
+        """Return the angle that it adds to the heading.
+
+        Parameters
+        ----------
+        context : EffectContext
+            Times, fields and places.
+
+        Returns
+        -------
+        ndarray, shape (..., 1 or N), or float
+            Angle [rad].
+        """
         return self._of(context)[..., 0] if self.acts_on == 'heading' else 0.0
 
     def speed_factor(self, context: EffectContext) -> np.ndarray | float:
-        """What it multiplies the self-propulsion by (..., 1 or N), never less than zero."""
+        """Return its factor on the self-propulsion.
+
+        Parameters
+        ----------
+        context : EffectContext
+            Times, fields and places.
+
+        Returns
+        -------
+        ndarray, shape (..., 1 or N), or float
+            Factor, never negative.
+        """
         if self.acts_on != 'speed':
             return 1.0
         return np.maximum(1 + self._of(context)[..., 0], 0.0)
 
     def drift(self, context: EffectContext) -> np.ndarray | None:
-        """The velocity (..., 1 or N, 2) [m/s] that it adds; None where it acts otherwise."""
+        """Return the velocity that it adds.
+
+        Parameters
+        ----------
+        context : EffectContext
+            Times, fields and places.
+
+        Returns
+        -------
+        ndarray, shape (..., 1 or N, 2), or None
+            Velocity [m/s]; None if it acts on speed or heading.
+        """
         return self._of(context) if self.acts_on == 'velocity' else None
 
     def inside(self, context: EffectContext) -> np.ndarray:
-        """Whether each particle (..., 1 or N) is where data were, when it was learned."""
+        """Return whether each particle is where the term had data.
+
+        Parameters
+        ----------
+        context : EffectContext
+            Times, fields and places.
+
+        Returns
+        -------
+        ndarray of bool, shape (..., 1 or N)
+            In the frame `radial`, whether no neighbour is closer than any in the data.
+        """
         where, weight = self._corners(self._pairs(context)[0] if self.frame == 'radial'
                                       else coordinate(self.against, context))
         known: np.ndarray = ((self.seen[where] & (weight > 0)) | (weight == 0)).all(axis=-1) & (
@@ -125,7 +192,7 @@ class LearnedTerm:
             (self._pairs(context)[0] < self.axes[0][np.argmax(self.seen)]).any(axis=-1))
 
     def _of(self, context: EffectContext) -> np.ndarray:
-        """Values (..., 1 or N, C) under a `context`, summed over neighbours."""
+        """Return values (..., 1 or N, C) under a `context`, summed over neighbours."""
         if self.frame != 'radial':
             where, weight = self._corners(coordinate(self.against, context))
             return np.einsum('...k,...kc->...c', weight, self.values[where])
@@ -140,10 +207,23 @@ class LearnedTerm:
     # Where the covariate is among the knots -----------------------------------------------------
 
     def knots(self, context: EffectContext) -> tuple[np.ndarray, np.ndarray]:
-        """The knots (..., 1 or N, k) that are felt, as rows of `values`, and what each weighs.
+        """Return the knots that act, and their weights.
 
-        In the frame `radial` every neighbour feels its own, and of a velocity they weigh complex,
-        with the direction away from it. Where a knot comes more than once its weights add up.
+        In the frame `radial` each neighbour has its own knots. Weights of a velocity are complex
+        there, with the direction away from the neighbour. The weights of a knot that occurs more
+        than once add up.
+
+        Parameters
+        ----------
+        context : EffectContext
+            Times, fields and places.
+
+        Returns
+        -------
+        where : ndarray of int, shape (..., 1 or N, k)
+            Rows of `values`.
+        weight : ndarray, shape (..., 1 or N, k)
+            Weights.
         """
         if self.frame != 'radial':
             return self._corners(coordinate(self.against, context))
@@ -155,7 +235,7 @@ class LearnedTerm:
         return where.reshape(flat), weight.reshape(flat)
 
     def _corners(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which knots (..., 2 or 4) are about the covariate `x`, and their weights, 0 beyond."""
+        """Return the knots (..., 2 or 4) around the covariate `x`, and their weights, 0 beyond."""
         if self.against == 'particle':
             where = np.minimum(self.axes[0].searchsorted(x), len(self.axes[0]) - 1)
             return where[..., None], (self.axes[0][where] == x)[..., None].astype(float)
@@ -185,7 +265,7 @@ class LearnedTerm:
             [1 - part, part], axis=-1) * known[..., None]
 
     def _pairs(self, context: EffectContext) -> tuple[np.ndarray, np.ndarray]:
-        """Distance (..., N, N) [m] of every pair and the direction from j (last) to i.
+        """Return distance (..., N, N) [m] of each pair and direction from j (last axis) to i.
 
         Infinite, and 0, where there is no pair.
         """
@@ -197,15 +277,29 @@ class LearnedTerm:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """What its columns of `values` are called in files."""
+        """Names of the columns of `values` in files."""
         return VALUES[self.frame, self.acts_on]
 
 
 def coordinate(against: Against, context: EffectContext) -> np.ndarray:
-    """The covariate `against` which a term is drawn (..., 1 or N) [SI] under a `context`.
+    """Return the value of a covariate.
 
-    A position is complex; an angle that is not defined, without a field, is NaN. ValueError where
-    the context does not tell it. Distances of neighbours are of pairs: not here.
+    Parameters
+    ----------
+    against : Against
+        The covariate, except the distance of neighbours, which belongs to pairs.
+    context : EffectContext
+        Times, fields and places.
+
+    Returns
+    -------
+    ndarray, shape (..., 1 or N)
+        SI. A position is complex; an angle without a field is NaN.
+
+    Raises
+    ------
+    ValueError
+        If the context does not have it.
     """
     if against == 'position':
         return np.asarray(context.position @ np.array([1, 1j]))

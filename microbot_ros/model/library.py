@@ -1,4 +1,4 @@
-"""Finding effects: the built-in ones, and entry points of the group `microbot_ros.effects`."""
+"""Discovery of effects: built-in ones, and entry points of the group `microbot_ros.effects`."""
 
 from __future__ import annotations
 
@@ -11,16 +11,23 @@ from microbot_ros.common.errors import PackageError
 from microbot_ros.model.effect import STAGES, Effect
 
 GROUP = 'microbot_ros.effects'
+"""Group of the entry points."""
 
 _SAID = ('summary', 'required_excitation', 'confounded_with')
+"""Texts that every effect must have."""
 
 
 class Library(Mapping[str, type[Effect]]):
-    """Effects by name: those that are `built_in`, then those of other packages.
+    """Effects by name: built-in ones, then those of other packages.
 
-    By stage; within one, other packages' act after the built-in ones, in alphabetical order. A
-    missing hypothesis would not be noticed in what discovery says, so one that can't be used is
-    no warning: PackageError.
+    Ordered by stage; within a stage, those of other packages act after the built-in ones, in
+    alphabetical order. An effect that cannot be used raises PackageError, not a warning: nobody
+    would notice a missing hypothesis in the result of a search.
+
+    Parameters
+    ----------
+    built_in : sequence of type of Effect
+        Built-in effects, in the order in which they act.
     """
 
     def __init__(self, built_in: Sequence[type[Effect]]) -> None:
@@ -37,7 +44,7 @@ class Library(Mapping[str, type[Effect]]):
 
     @cached_property
     def _effects(self) -> dict[str, type[Effect]]:
-        """Found once, for that reads the metadata of every package of the environment."""
+        """All effects, searched once: this reads the metadata of every installed package."""
         points = sorted(entry_points(group=GROUP), key=lambda point: point.name)
         effects, origin = dict(self._built_in), dict.fromkeys(self._built_in, 'microbot_ros')
         for point in points:
@@ -70,7 +77,7 @@ def _load(point: EntryPoint) -> type[Effect]:
 
 
 def _missing(found: type[Effect], name: str) -> str:
-    """What a class that was `found` lacks of an effect called `name`, or ''."""
+    """Return what a class lacks to be an effect called `name`, or ''."""
     if getattr(found, 'id', None) != name:
         return f"the 'id' {name}, as the entry point says; got {getattr(found, 'id', None)!r}"
     if getattr(found, 'stage', None) not in STAGES:

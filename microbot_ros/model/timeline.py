@@ -1,4 +1,4 @@
-"""Frames and commands on one time axis, cut where either changes, prepared once for many fits."""
+"""Frames and commands on one time axis, split where either changes, prepared for many fits."""
 
 from __future__ import annotations
 
@@ -16,18 +16,25 @@ Key = TypeVar('Key')
 Value = TypeVar('Value')
 
 LONGEST = 0.1
-"""Spans of models that change in time, or with position, are at most this long [s]."""
+"""Longest span [s] of models that change in time or with position.
+
+Choice: a particle moves by less than its size in it; time of a fit is inverse to it.
+"""
 
 PARTS = 8
-"""Parts of models that are remembered: more than a model of a few effects has."""
+"""Number of cached parts of models. Choice: more than a model of a few effects has."""
 
 
 @dataclass(frozen=True)
 class Segments:
-    """Spans during which the command stays, S of them, the last at the last frame.
+    """S spans of constant command; the last ends at the last frame.
 
-    The first `lead` of them lie before the first frame: the history that the heading remembers.
-    `frames` (T,) is where the frames lie among the edges of the spans after these.
+    Attributes
+    ----------
+    lead : int
+        Number of spans before the first frame: the history that the heading depends on.
+    frames : ndarray of int, shape (T,)
+        Indices of the frames among the edges of the spans after these.
     """
 
     t: np.ndarray
@@ -35,47 +42,84 @@ class Segments:
     span: np.ndarray
     """Lengths (S, 1) [s]."""
     field: np.ndarray
-    """Commanded field (S, 1, 2) [T], zero before the first command."""
+    """Commanded field (S, 1, 2) [T]; zero before the first command."""
     frequency: np.ndarray
     """Commanded rotation (S, 1) [Hz]."""
     since: np.ndarray | None
-    """Time (S, 1) [s] since the command last became another, zero before the first.
+    """Time (S, 1) [s] since the command last changed; zero before the first.
 
-    None where spans are whole: there nothing depends on it.
+    None for undivided spans, where nothing depends on it.
     """
     lead: int
     frames: np.ndarray
 
     @property
     def first(self) -> np.ndarray:
-        """The span after the lead with which each frame interval begins (T−1,)."""
+        """First span after the lead of each frame interval (T − 1,)."""
         return self.frames[:-1]
 
     def sum(self, spans: np.ndarray) -> np.ndarray:
-        """Sum (S − lead, ...) over the spans of every frame interval: (T−1, ...)."""
+        """Sum values of spans over every frame interval.
+
+        Parameters
+        ----------
+        spans : ndarray, shape (S − lead, ...)
+            Values of the spans after the lead.
+
+        Returns
+        -------
+        ndarray, shape (T − 1, ...)
+            Sums.
+        """
         if len(spans) == len(self.first):
             return spans
         return np.add.reduceat(spans, self.first, axis=0)
 
     @property
     def interval(self) -> np.ndarray:
-        """The frame interval (S − lead,) that each span after the lead belongs to."""
+        """Frame interval of each span after the lead (S − lead,)."""
         return np.repeat(np.arange(len(self.first)), np.diff(self.frames))
 
     def context(self, model: Model) -> EffectContext:
-        """The context in every span, the lead included, with the field after stage 1."""
+        """Return the context in every span, the lead included.
+
+        Parameters
+        ----------
+        model : Model
+            The model.
+
+        Returns
+        -------
+        EffectContext
+            With the field after stage 1, without places.
+        """
         field = model.field(self.field)
         return EffectContext(self.t, self.span, field, self.frequency, model.reference_field,
                              since=self.since)
 
 
 class Timeline:
-    """The commands and the frames of one recording, ready to evaluate models on.
+    """Commands and frames of one recording, ready to evaluate models on.
 
-    `times` (T,) [s], ascending, T ≥ 2; `positions` (T, N, 2) [m] as the camera reports them, NaN
-    for gaps: where terms that depend on position are evaluated, each over the interval that
-    begins with it. For fits give filtered positions of earlier frames: raw ones bias such terms.
-    `ids` and `phi` (N,) [rad] of the particles, for terms that differ between them.
+    Parameters
+    ----------
+    commands : Commands
+        Commands.
+    times : ndarray, shape (T,)
+        Times of the frames [s], ascending, T ≥ 2.
+    positions : ndarray, shape (T, N, 2), optional
+        Positions as the camera reports them [m], NaN in gaps. Effects that depend on position are
+        evaluated there, each over the interval that begins with it. For fits they should be
+        filtered from earlier frames: raw ones bias such effects.
+    ids : ndarray of int, shape (N,), optional
+        Particles, for terms that differ between them.
+    phi : ndarray, shape (N,), optional
+        φ of the particles [rad], for terms that depend on the heading.
+
+    Raises
+    ------
+    ValueError
+        For fewer than two times, or times that do not ascend.
     """
 
     def __init__(self, commands: Commands, times: np.ndarray,
@@ -93,12 +137,34 @@ class Timeline:
         self._parts: dict[Hashable, object] = {}
 
     def segments(self, model: Model) -> Segments:
-        """The spans under a model's delay, cut short where it changes within them."""
+        """Return the spans under a model's delay, divided if the model changes within them.
+
+        Parameters
+        ----------
+        model : Model
+            The model.
+
+        Returns
+        -------
+        Segments
+            Spans.
+        """
         key = self._key(model)
         return _remembered(self._segments, key, lambda: self._cut(*key))
 
     def places(self, model: Model) -> Places | None:
-        """True positions in every span after the lead; None where none were given or needed."""
+        """Return true positions in every span after the lead.
+
+        Parameters
+        ----------
+        model : Model
+            The model.
+
+        Returns
+        -------
+        Places or None
+            None if none were given or needed.
+        """
         positions = self.positions
         if positions is None or not model.needs_position:
             return None
@@ -109,10 +175,23 @@ class Timeline:
                 model.true_position(positions[:-1])[interval], *self._who))
 
     def part(self, key: Hashable, model: Model, make: Callable[[], Value]) -> Value:
-        """What a `model` makes here of what the `key` names: made anew, or remembered.
+        """Return a part of a model's response, computed or from the cache.
 
-        Besides the key it may depend on how the model cuts the recording and on its reference
-        field. A fit asks for one parameter after the other, and most parts stay as they were.
+        Fits vary one parameter at a time, and most parts stay as they were.
+
+        Parameters
+        ----------
+        key : hashable
+            What the part depends on, besides the model's delay, spans and reference field.
+        model : Model
+            The model.
+        make : callable
+            Computes the part.
+
+        Returns
+        -------
+        object
+            What `make` returns.
         """
         found = _remembered(
             self._parts, (key, self._key(model), model.reference_field), make, PARTS)
@@ -152,10 +231,19 @@ class Timeline:
 
 
 def last_change(field: np.ndarray, frequency: np.ndarray | None = None) -> np.ndarray:
-    """The row (K,) from which on each command has been what it is: repeats change nothing.
+    """Return the row from which on each command has been in force; repeats change nothing.
 
-    Of commands of `field` (K, 2) [T], or (K, N, 2), and `frequency` (K,) or (K, N) [Hz] of the
-    rotation.
+    Parameters
+    ----------
+    field : ndarray, shape (K, 2) or (K, N, 2)
+        Fields of the commands [T].
+    frequency : ndarray, shape (K,) or (K, N), optional
+        Rotation frequencies [Hz].
+
+    Returns
+    -------
+    ndarray of int, shape (K,)
+        Row of the last change, for each row.
     """
     changed = (np.diff(field, axis=0) != 0).any(axis=tuple(range(1, field.ndim)))
     if frequency is not None:
@@ -167,7 +255,10 @@ def last_change(field: np.ndarray, frequency: np.ndarray | None = None) -> np.nd
 
 def _remembered(cache: dict[Key, Value], key: Key, make: Callable[[], Value],
                 most: int = 4) -> Value:
-    """The value under a key, made if need be; of `most`, the longest unused makes room."""
+    """Return the cached value of a key, computed if need be.
+
+    Of `most` values the least recently used one is dropped.
+    """
     value = cache.pop(key) if key in cache else make()
     while len(cache) >= most:
         del cache[next(iter(cache))]
@@ -176,7 +267,7 @@ def _remembered(cache: dict[Key, Value], key: Key, make: Callable[[], Value],
 
 
 def _subdivide(edges: np.ndarray) -> np.ndarray:
-    """The edges with more between them, so that spans are cut equally to LONGEST at most."""
+    """Return the edges with more between them, for equal spans of at most LONGEST."""
     span = np.diff(edges)
     # Frames of just LONGEST stay whole; rounding may leave next to nothing between two edges.
     parts = np.maximum(np.ceil(span / LONGEST - 1e-9), 1).astype(int)

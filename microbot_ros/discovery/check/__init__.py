@@ -1,1 +1,1 @@
-"""Checks of sessions, of what a model leaves, and of predictions on held-out data."""
+"""Checks of sessions, of residuals, and of predictions on held-out data."""

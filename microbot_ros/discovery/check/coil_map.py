@@ -1,9 +1,9 @@
-"""The field that came against the one commanded, from which way particles swam.
+"""Map from the commanded to the actual field, from the directions of swimming particles.
 
-What tracks tell of B = M B_cmd + b is its direction. How strong the y pair of coils is beside the
-x pair, how far it leans, and b over the field bend the path differently for every direction of
-the command. One factor on all of the field is not seen, and a common turn is seen as φ of every
-particle: neither is fitted, M keeps B_cmd along x.
+Tracks determine the direction of B = M B_cmd + b. The strength of the y coils relative to the x
+coils, their skew, and b relative to the field bend the path differently for each direction of the
+command. A common factor of the field has no effect, and a common rotation is part of φ of every
+particle: neither is fitted, so M keeps B_cmd along x.
 """
 
 from __future__ import annotations
@@ -23,26 +23,43 @@ from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 
 SOUGHT = ('coil_gain_mismatch', 'coil_misalignment', 'background_field')
+"""Effects that make up the map."""
+
 BESIDE = ('uniform_drift', 'command_delay')
-"""Fitted with them, as they bend paths too."""
+"""Effects fitted as well, since they bend paths too."""
 
 KNOWN = 0.1
-"""Standard deviation of gain ratio and skew above which they are not known: 3° of direction."""
+"""Standard deviation of gain ratio or skew above which the map is refused: 3° of direction.
+
+Choice: a smaller value refuses short recordings, a larger one returns maps of little use.
+"""
 
 PLAUSIBLE = 3.0
-"""Pairs of coils are alike to this factor; what is beyond has a coil that is dead or reversed."""
+"""Ratio of the coil pairs above which the map is refused: a coil is then dead or reversed.
+
+Choice: pairs of one rig are built alike to better than this.
+"""
 
 CLEARLY = 10.0
-"""Gain in −2 log likelihood for which the mirrored command is the likelier one."""
+"""Gain in −2 log likelihood above which a mirrored command is the right one.
+
+Choice: odds of 150 to 1.
+"""
 
 _BINS = 24
+"""Bins of the command's direction in the figure. Choice: 15° each, enough for two harmonics."""
 
 
 @dataclass(frozen=True)
 class Deviations:
-    """Which way particles went beside the command, in K bins of its direction; (K,) [rad] each.
+    """Deviation of particles from the command, in K bins of its direction.
 
-    `commanded`: middles of the bins, `deviation` from them, `std` of it.
+    Attributes
+    ----------
+    commanded : ndarray, shape (K,)
+        Mean direction of the command in each bin [rad].
+    deviation, std : ndarray, shape (K,)
+        Deviation of the motion from it, and standard deviation [rad].
     """
 
     commanded: np.ndarray
@@ -52,11 +69,24 @@ class Deviations:
 
 @dataclass(frozen=True)
 class CoilMap:
-    """B = `matrix` (2, 2) B_cmd + `offset` ± `offset_std` (2,) [T], to a common factor and turn.
+    """Map B = M B_cmd + b of the coils, up to a common factor and a common rotation.
 
-    `gain_ratio` is that of the y coils to the x coils, `skew` the lean of the y coils towards +x
-    [rad]; `strength` [T] is the median of the commands; `unexplained` names what the residuals
-    still depend on; `deviations` are what was fitted, for a picture.
+    Attributes
+    ----------
+    gain_ratio : Estimate
+        Gain of the y coils relative to the x coils.
+    skew : Estimate
+        Lean of the y coils towards +x [rad].
+    matrix : ndarray, shape (2, 2)
+        M.
+    offset, offset_std : ndarray, shape (2,)
+        b and its standard deviation [T].
+    strength : float
+        Median field of the commands [T].
+    unexplained : tuple of str
+        Covariates on which the residual still depends.
+    deviations : Deviations
+        The fitted directions, for a figure.
     """
 
     gain_ratio: Estimate
@@ -69,14 +99,31 @@ class CoilMap:
     deviations: Deviations
 
     def expected(self, direction: np.ndarray) -> np.ndarray:
-        """Deviation [rad] of the field from the commanded `direction` (...) [rad]."""
+        """Return the deviation of the field from the command.
+
+        Parameters
+        ----------
+        direction : ndarray
+            Commanded directions [rad], of any shape.
+
+        Returns
+        -------
+        ndarray
+            Deviations [rad] of the same shape, at the median field.
+        """
         command = self.strength * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
         field = command @ self.matrix.T + self.offset
         turned: np.ndarray = np.arctan2(field[..., 1], field[..., 0]) - direction
         return (turned + np.pi) % (2 * np.pi) - np.pi
 
     def summary(self) -> dict[str, object]:
-        """The numbers as people read them, and what the tracks leave open."""
+        """Return the numbers for a JSON file, and what tracks do not determine.
+
+        Returns
+        -------
+        dict
+            Numbers in the units of their names.
+        """
         return {
             'gain_ratio': self.gain_ratio.as_json('gain_ratio'),
             'skew_rad': self.skew.as_json('skew_rad'),
@@ -89,7 +136,23 @@ class CoilMap:
 
 
 def coil_map(session: Session) -> CoilMap:
-    """Fit the map to a `session` of catalytic particles; InputError where that can't tell it."""
+    """Fit the map to a session of catalytic particles.
+
+    Parameters
+    ----------
+    session : Session
+        Commands in many directions, with tracks.
+
+    Returns
+    -------
+    CoilMap
+        The map with its uncertainty.
+
+    Raises
+    ------
+    InputError
+        If particles do not swim along the field, a coil is reversed, or the map is not determined.
+    """
     name = session.name or 'session'
     if session.conditions.propulsion != 'catalytic':
         raise InputError(name, 'expected catalytic particles, which swim along the field; found '
@@ -121,9 +184,10 @@ def _fit(session: Session) -> ModelFit:
 
 
 def _covariance(fit: ModelFit) -> np.ndarray:
-    """Of the effects' parameters in fit coordinates; next to infinite in what can't be told apart.
+    """Return the covariance of the effects' parameters, in fit coordinates.
 
-    Not a pseudo-inverse, which takes what the data leave open for known.
+    Nearly infinite in combinations that the data do not determine. A pseudo-inverse would treat
+    these as known.
     """
     information, _, visible = fit.normal
     scale = 1 / np.sqrt(np.where(visible, np.diag(information), 1.0))
@@ -163,7 +227,7 @@ def _offset_std(fit: ModelFit, covariance: np.ndarray, matrix: np.ndarray) -> np
 
 
 def _deviations(fit: ModelFit) -> Deviations:
-    """Displacements less the drift, turned back by command and φ, summed over each bin."""
+    """Return displacements less drift, rotated back by command and φ, summed in each bin."""
     p, = fit.session_fits
     e = p.session
     field = e.commands.field_at(e.times)

@@ -1,4 +1,4 @@
-"""What a residual may depend on, as groups of smooth velocity fields of one covariate each."""
+"""Covariates of the residual, as groups of smooth velocity fields of one covariate each."""
 
 from __future__ import annotations
 
@@ -13,20 +13,37 @@ from microbot_ros.estimation.likelihood.prepared_session import HELD
 from microbot_ros.model.effect_context import CLOSEST
 
 HARMONICS = 4
+"""Harmonics of an angle. Choice: effects of the library have two at most; more dilute the test."""
+
 RELAXATION = (HELD, 0.3, 1.0, 3.0)
-"""Times since a switch [s] over which something may relax."""
+"""Relaxation times after a switch [s].
+
+Choice: from the shortest hold to a usual step of commands, a factor of 3 apart.
+"""
 
 FEWEST = 3
-"""Switches that a recording needs for what is common to all."""
+"""Fewest switches in a recording for a test of a common response.
+
+Choice: two may agree by chance.
+"""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Velocity fields of one covariate, named `against`.
+    """Velocity fields of one covariate.
 
-    `fields` (T−1, N, M) complex: the mean velocity of each over every frame interval, to which
-    belongs the same turned by 90°; `value` (T−1, N): the covariate in the unit of `label`; `frame`
-    (T−1, N) complex: the direction in which the residual is drawn, 1 in the laboratory.
+    Attributes
+    ----------
+    against : str
+        Name of the covariate.
+    label : str
+        Axis label, with unit.
+    fields : ndarray of complex, shape (T − 1, N, M)
+        Mean velocity of each field in each frame interval; the same rotated by 90° belongs to it.
+    value : ndarray, shape (T − 1, N)
+        The covariate in the unit of `label`.
+    frame : ndarray of complex, shape (T − 1, N)
+        Direction along which the residual is drawn; 1 in the laboratory.
     """
 
     against: str
@@ -37,7 +54,13 @@ class Group:
 
 
 class Covariates:
-    """Everything that the residual of one session may depend on: a `part` of a fit."""
+    """All covariates of the residual of one session.
+
+    Parameters
+    ----------
+    part : SessionFit
+        Fit of the session.
+    """
 
     def __init__(self, part: SessionFit) -> None:
         self.part = part
@@ -49,7 +72,7 @@ class Covariates:
 
     @cached_property
     def body(self) -> np.ndarray:
-        """Direction of travel (T−1, N), shorter than 1 where it turns within an interval."""
+        """Direction of travel (T − 1, N), shorter than 1 where it turns within an interval."""
         p = self.part
         c = p.velocity_phasor
         own = np.diff(p.expected.along * c.real + p.expected.across * c.imag, axis=0) / self.step
@@ -59,12 +82,18 @@ class Covariates:
 
     @cached_property
     def place(self) -> np.ndarray:
-        """Place at the start of every interval (T−1, N) complex [m]; 0 where out of view."""
+        """Place at the start of every interval (T − 1, N), complex [m]; 0 out of view."""
         x = self.session.causal_positions[:-1]
         return np.nan_to_num(x[..., 0] + 1j * x[..., 1])
 
     def groups(self) -> Iterator[Group]:
-        """All groups that the session can show."""
+        """Yield the groups that the session can show.
+
+        Yields
+        ------
+        Group
+            One covariate.
+        """
         yield from self._time()
         yield from self._switch()
         yield from self._angles()
@@ -76,7 +105,7 @@ class Covariates:
 
     def _group(self, against: str, label: str, factors: list[np.ndarray], frame: np.ndarray,
                value: np.ndarray) -> Group:
-        """Real factors times the frame."""
+        """Return the group of real factors times the frame."""
         fields = np.stack([np.broadcast_to(f * frame, self.shape) for f in factors], axis=-1)
         return Group(against, label, fields, np.broadcast_to(value, self.shape),
                      np.broadcast_to(frame, self.shape))
@@ -91,11 +120,11 @@ class Covariates:
                           self.middle)
 
     def _switch(self) -> Iterator[Group]:
-        """Body frame, with how far the command turned.
+        """Yield the response to a switch in the body frame, with the turn of the command.
 
         A switch is a change of the command after one that was held for HELD; the turn is that
-        since then. What changes all the time, as a ramp of angles or a closed loop, has none, and
-        fewer than FEWEST switches show nothing in common.
+        since the held command. Commands that change all the time, as a ramp of angles or a closed
+        loop, have no switch. Fewer than FEWEST switches show nothing in common.
         """
         commands, times = self.session.commands, self.session.times
         field = commands.field[:, 0] + 1j * commands.field[:, 1]
@@ -171,7 +200,7 @@ class Covariates:
                      np.stack(fields, axis=-1), nearest, direction)
 
     def _particles(self) -> Group:
-        """Each particle's own drift, and its own change of speed and angle."""
+        """Return each particle's own drift, and its own change of speed and angle."""
         T, N = self.shape
         times = self.session.times
         t = (self.middle - times.mean()) / np.ptp(times)
@@ -188,7 +217,7 @@ def _harmonics(angle: np.ndarray) -> list[np.ndarray]:
 
 
 def _bins(value: np.ndarray) -> list[np.ndarray]:
-    """Up to eight bins of equal size, or the levels themselves, each a factor (T−1, 1)."""
+    """Return up to eight bins of equal counts, or the levels, each as a factor (T − 1, 1)."""
     edges = np.unique(np.quantile(value[value > 0], np.linspace(0, 1, 9)[1:]))
     which = np.searchsorted(edges, value)
     return [((which == k) & (value > 0))[:, None].astype(float) for k in range(len(edges))]

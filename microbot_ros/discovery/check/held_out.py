@@ -1,7 +1,7 @@
-"""Proof on data that a fit did not see: the gap in prediction.
+"""Prediction of held-out data: the gap.
 
-Recordings are cut: neither a displacement across hidden frames nor a place in them is used, and
-every fit begins anew from the frames that it may see.
+Recordings are cut: no displacement across hidden frames and no place in them is used, and every
+fit starts anew from the frames that it may use.
 """
 
 from __future__ import annotations
@@ -27,25 +27,36 @@ from microbot_ros.estimation.likelihood.prepared_session import FEWEST, Prepared
 from microbot_ros.model.model import Model
 
 BLOCKS = 5
-"""Blocks of time that are predicted in turn, each from all others."""
+"""Number of folds, each predicted from all others. Choice: the usual five."""
 
 TURN = 2.4
-"""Horizons, or times of the fewest frames that are of use, in a block where blocks take turns."""
+"""Length of an interleaved block, in horizons or times of the fewest usable frames.
+
+Choice: with less, few displacements over a horizon fit into a block; with more, what changes in
+time is not seen near a block.
+"""
 
 STRETCHES = 20
-"""Stretches of time, at most, by which the errors of two models are compared: a choice. With half
-as many the interval is wider by 8 % (Student's t); with twice as many, stretches of what changes
-slowly are less independent of each other.
+"""Maximum number of stretches of time by which the errors of two models are compared.
+
+Choice: with half as many the interval is wider by 8 % (Student's t); with twice as many, stretches
+of what changes slowly are less independent of each other.
 """
 
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Squared errors (R,) [m²] of open-loop predictions over a `horizon` [s], of one axis.
+    """Squared errors of open-loop predictions on R held-out displacements.
 
-    `squares`: of each model, over the same displacements; `stretch` (R,): the stretch of time of
-    each.
+    Attributes
+    ----------
+    horizon : float
+        Prediction horizon [s].
+    squares : dict of str to ndarray, shape (R,)
+        Squared error of one axis [m²] by model, for the same displacements.
+    stretch : ndarray, shape (R,)
+        Number of the stretch of time of each displacement.
     """
 
     horizon: float
@@ -53,7 +64,18 @@ class HeldOut:
     stretch: np.ndarray
 
     def gap(self, fit: ModelFit) -> Gap:
-        """Return the gap over the noise of a `fit`."""
+        """Return the errors in excess of the noise of a fit.
+
+        Parameters
+        ----------
+        fit : ModelFit
+            Fit whose noise makes the floor.
+
+        Returns
+        -------
+        Gap
+            Errors [m], and the decrease of the squared error [m²].
+        """
         floor = _floor(fit, self.horizon)
         excess = {name: _excess(square, floor) for name, square in self.squares.items()}
         return Gap(self.horizon, excess['before'], excess['after'], floor,
@@ -61,17 +83,37 @@ class HeldOut:
                    self.closed('before', 'after'), self.closed('before', 'learned'))
 
     def closed(self, one: str, other: str) -> Estimate:
-        """Return the squared error of `one` model less that of an `other`."""
+        """Return the mean squared error of one model less that of another.
+
+        Parameters
+        ----------
+        one, other : str
+            Names of the models.
+
+        Returns
+        -------
+        Estimate
+            Difference [m²]; unknown without the other model.
+        """
         if other not in self.squares:
             return UNKNOWN
         return mean_by_stretch(self.squares[one] - self.squares[other], self.stretch)
 
     def worth_explaining(self, fit: ModelFit) -> bool:
-        """Return whether something beside the effects of a `fit` is foretold, or could be.
+        """Return whether something beside the effects of a fit is predictable, or could be.
 
-        A term that was learned has to lower the squared error; without one, predictions have to
-        err by more than the noise of the fit. Each by WORTH of the noise floor. Also where nothing
-        could be held out.
+        A learned term has to lower the squared error. Without a term, the prediction error has to
+        exceed the noise. Both are compared with WORTH times the noise floor.
+
+        Parameters
+        ----------
+        fit : ModelFit
+            Fit whose noise makes the floor.
+
+        Returns
+        -------
+        bool
+            True also if nothing could be held out.
         """
         floor = _floor(fit, self.horizon)
         squares = self.squares
@@ -82,17 +124,37 @@ class HeldOut:
 def hold_out(fit: ModelFit, sessions: Sequence[PreparedSession], names: Collection[str],
              truth: Model | None = None, run: Run = serially,
              relearn: Callable[[ModelFit], ModelFit] | None = None) -> HeldOut:
-    """Predict each block of `sessions` open loop over a horizon, from a fit to all other blocks.
+    """Predict each block of the sessions open loop, from fits to all other blocks.
 
-    Before: by the first-order model. After: by the search, made anew on the other blocks of
-    prepared `sessions`. Effects are selected there, too, among `names`: those that are worth a
-    look on all rows. The part of the sessions that is judged is that of `fit`, the result of the
-    search on all rows: no model foretells a heading that chance has scattered. The effects of
-    `truth`, where it is known, are not fitted. What depends on position is taken where the
-    particles were. `relearn` adds terms to a fit, which are selected and learned from what that
-    leaves, beside the first-order model where `fit` has no effects. Blocks are short: no fit tells
-    of a frequency, or of a time, at which nothing was seen. `run` shares the blocks. All models
-    are judged on the same rows, those whose particles every one of them knows.
+    `before` is the first-order model. `after` is the search, repeated on the other blocks. Blocks
+    are short, so no fit has to predict at a frequency or a time without data. All models are
+    judged on the same rows: those whose particles every one of them knows.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Result of the search on all rows. Only rows that it uses are judged, since no model
+        predicts a heading that chance has scattered.
+    sessions : sequence of PreparedSession
+        All rows of the sessions.
+    names : collection of str
+        Effects that the repeated search may add: the credible ones on all rows.
+    truth : Model, optional
+        True model of a simulation; its effects are not fitted.
+    run : Run, optional
+        Distributes the blocks.
+    relearn : callable, optional
+        Adds learned terms to a fit: selected and learned from its residual, or from that of the
+        first-order model where `fit` has no effects.
+
+    Returns
+    -------
+    HeldOut
+        Squared errors of `before`, `after`, and of `learned` and `truth` where given.
+
+    Notes
+    -----
+    Effects that depend on position are evaluated where the particles were.
     """
     shortest = min(float(np.ptp(session.times)) for session in sessions)
     horizon = min(HORIZON, shortest / (2 * BLOCKS))
@@ -119,7 +181,7 @@ def hold_out(fit: ModelFit, sessions: Sequence[PreparedSession], names: Collecti
 
 
 def _carried_over(model: Model, known: SessionFit, session: PreparedSession) -> SessionFit:
-    """A `model` on another `session` of the particles and the noise of a `known` one."""
+    """Return the fit of a `model` on another `session`, with particles and noise of `known`."""
     session = replace(session, phi=np.angle(known.velocity_phasor))
     expected = ExpectedDisplacement.of(model, session.timeline)
     located = session.with_filtered_positions(
@@ -129,13 +191,13 @@ def _carried_over(model: Model, known: SessionFit, session: PreparedSession) -> 
 
 
 def _turns(session: PreparedSession, horizon: float) -> np.ndarray:
-    """Which of BLOCKS every frame (T,) belongs to, where short blocks take turns."""
+    """Return which of BLOCKS every frame (T,) belongs to; short blocks are interleaved."""
     length = max(TURN * horizon, TURN * FEWEST * session.interval)
     return ((session.times - session.times[0]) / length).astype(int) % BLOCKS
 
 
 def _explicable(session: PreparedSession, part: PreparedSession) -> PreparedSession:
-    """A `session` with the rows of the `part` of it that the model found can explain."""
+    """Return a `session` with only the rows of that `part` of it that the fit used."""
     pieces = np.zeros_like(session.pieces)
     pieces[np.isin(session.times, part.times)] = part.pieces
     return replace(session, pieces=pieces)
@@ -146,11 +208,23 @@ def _excess(squares: np.ndarray, floor: float) -> float:
 
 
 def mean_by_stretch(values: np.ndarray, stretch: np.ndarray) -> Estimate:
-    """Return the mean of `values` (R,), with its interval by how stretches of time differ.
+    """Return the mean of values, with an interval from the differences between stretches of time.
 
-    Displacements that overlap share their noise, and particles of one moment share what acts on
-    all: a `stretch` (R,) of time counts as one observation. What the fits do not know of their
-    parameters is not in the interval.
+    Overlapping displacements share their noise, and particles of one moment share what acts on
+    all. A stretch of time therefore counts as one observation. The uncertainty of the fitted
+    parameters is not part of the interval.
+
+    Parameters
+    ----------
+    values : ndarray, shape (R,)
+        The values.
+    stretch : ndarray, shape (R,)
+        Number of the stretch of each.
+
+    Returns
+    -------
+    Estimate
+        Mean with 95 % interval (Student's t); unknown for fewer than 2 stretches.
     """
     _, which = np.unique(stretch, return_inverse=True)
     count = np.bincount(which)
@@ -165,9 +239,9 @@ def mean_by_stretch(values: np.ndarray, stretch: np.ndarray) -> Estimate:
 
 def _errors(fits: Sequence[ModelFit], k: int, whole: PreparedSession, frames: np.ndarray,
             horizon: float) -> np.ndarray:
-    """Return the squared errors (R, 1 + M) of M `fits` within some `frames` (T,) of session `k`.
+    """Return the squared errors (R, 1 + M) of M `fits` in some `frames` (T,) of session `k`.
 
-    R displacements over the horizon, of one axis [m²], the mean of both. The first column is the
+    Of R displacements over the horizon, one axis [m²], the mean of both. The first column is the
     number of the stretch of time in which a displacement begins.
     """
     ahead = max(round(horizon / whole.interval), 1)
@@ -188,10 +262,10 @@ def _errors(fits: Sequence[ModelFit], k: int, whole: PreparedSession, frames: np
 
 
 def _by_headings(here: SessionFit, left: np.ndarray, ahead: int) -> np.ndarray | float:
-    """Return how much further (T − ahead, N) [m] particles get as their headings deviate.
+    """Return the displacements (T − ahead, N) [m] due to known deviations of headings.
 
-    Under a lag, which way a heading deviates from the model at the beginning of a prediction is
-    known from the positions until then, of which a model leaves `left` (T, N) [m].
+    With a lag, positions before a prediction determine how its initial heading deviates from the
+    model. `left` (T, N) [m] are the residuals of these positions.
     """
     noise = here.whitening
     if noise.sensitivity is None or noise.retention is None or noise.fluctuation is not None:
@@ -210,7 +284,7 @@ def _by_headings(here: SessionFit, left: np.ndarray, ahead: int) -> np.ndarray |
 
 
 def _known(learned: SessionFit, here: SessionFit, horizon: float) -> np.ndarray:
-    """Particles (N,) that were seen enough elsewhere for their v and φ to be of use."""
+    """Return which particles (N,) were seen enough elsewhere for their v and φ to be used."""
     std = np.minimum(learned.phasor_std, 1.0)
     step = np.diff(here.session.times)[:, None]
     own = np.abs(np.diff(here.expected.along, axis=0)) / step
@@ -221,7 +295,7 @@ def _known(learned: SessionFit, here: SessionFit, horizon: float) -> np.ndarray:
 
 
 def _floor(fit: ModelFit, horizon: float) -> float:
-    """√(2D·horizon + 2σ²), averaged over sessions, with what speeds that fluctuate add."""
+    """Return √(2D·horizon + 2σ²), averaged over sessions, plus fluctuations of velocity."""
     values = [
         2 * p.diffusion * (max(round(horizon / p.session.interval), 1) * p.session.interval)
         + 2 * max(p.whitening.noise_ratio, 0.0) * p.diffusion + p.unsteady_motion(horizon)

@@ -1,4 +1,4 @@
-"""What is wrong with sessions before anything is fitted, and what would be enough."""
+"""Checks of sessions before any fit, with messages that say what would be enough."""
 
 from __future__ import annotations
 
@@ -20,31 +20,64 @@ from microbot_ros.model.increments import respond
 from microbot_ros.model.model import Model
 
 FASTEST = 1e-3
-"""Speed [m/s] beyond which positions can't be in micrometres: 200 radii of these spheres."""
+"""Speed [m/s] above which positions cannot be in µm: 200 radii of usual spheres in a second.
+
+Choice: far above what a camera follows under a microscope.
+"""
 
 FINEST = 5e-10
-"""Steps [m] that no microscope resolves."""
+"""Step [m] below which positions cannot be in µm: no microscope resolves it.
+
+Choice: half a nanometre; a smaller value accepts positions in mm.
+"""
 
 SLOWEST_FRAMES, FASTEST_FRAMES = 10.0, 1e-4
-"""Intervals between frames [s] beyond which times can't be in seconds."""
+"""Longest and shortest interval between frames [s] for times in seconds.
+
+Choice: beyond the slowest time lapse, and beyond the fastest camera.
+"""
 
 ALIKE = 20
-"""Steps in a row that two recordings can't share by chance."""
+"""Consecutive steps that two recordings cannot share by chance.
+
+Choice: at a resolution of 0.1 pm even a few are unique; more allow for tracks with gaps.
+"""
 
 STUCK = 1.5
-"""Steps over a quarter of the time are this much longer than single ones if anything moves."""
+"""Ratio of displacements over a quarter of the time to single steps below which a track stands
+still.
+
+Choice: 1 for localisation error alone; diffusion over a quarter of 100 frames makes it 5."""
 
 FAINT = 2e-5
-"""Fields [T] below the Earth's."""
+"""Field [T] below that of the Earth, 25 to 65 µT."""
 
 SURE = 4.0
-"""Standard deviations from which a particle is said to follow the commands."""
+"""Standard deviations above which the speed of a particle along the commands is certain.
+
+Choice: chance exceeds it in 1 of 3000 particles.
+"""
 
 def check_sessions(sessions: Sequence[Session],
                    ) -> tuple[list[PreparedSession], tuple[str, ...]]:
-    """The `sessions` prepared as every fit takes them, with remarks on what they can't tell.
+    """Prepare sessions for a fit, with remarks on what they do not determine.
 
-    Raises InputError, with what would be enough, where nothing can be learnt.
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Recordings of one rig.
+
+    Returns
+    -------
+    prepared : list of PreparedSession
+        Without particles that a wall holds.
+    remarks : tuple of str
+        Sentences for people.
+
+    Raises
+    ------
+    InputError
+        If nothing can be learnt; the message says what would be enough.
     """
     if not sessions:
         raise InputError('', 'expected at least one session')
@@ -62,7 +95,7 @@ def check_sessions(sessions: Sequence[Session],
 
 
 def _one_kind(sessions: Sequence[Session]) -> None:
-    """Each commanded as its particles need, and all particles driven alike."""
+    """Raise InputError unless commands fit the propulsion, which all sessions share."""
     for session in sessions:
         kind = session.conditions.propulsion
         if kind == 'rolling' and session.commands.frequency is None and session.commands.t.size:
@@ -97,7 +130,7 @@ def _usable(session: Session) -> PreparedSession:
 
 
 def _plausible(name: str, e: PreparedSession) -> None:
-    """Units and motion."""
+    """Raise InputError if units are wrong or nothing moves."""
     if not FASTEST_FRAMES <= e.interval <= SLOWEST_FRAMES:
         raise InputError(name, f'expected times in s, found frames every {e.interval:.3g} s: '
                          'milliseconds, frame numbers or hours?')
@@ -133,7 +166,7 @@ def _all_different(sessions: list[PreparedSession]) -> None:
 
 
 def _runs(e: PreparedSession) -> set[int]:
-    """Hashes of stretches of steps, wherever they lie and whenever they were made."""
+    """Return hashes of runs of steps, independent of their place and time."""
     steps = np.rint(np.diff(e.z, axis=0) * 1e13)
     steps[~e.joined()] = np.nan
     return {
@@ -143,7 +176,7 @@ def _runs(e: PreparedSession) -> set[int]:
 
 
 def _references(sessions: Sequence[Session]) -> list[str]:
-    """Alignment times are stated at one field."""
+    """Return a remark if sessions state different reference fields of alignment times."""
     stated = [s.conditions.reference_field for s in sessions if s.conditions.reference_field]
     if len(set(stated)) < 2:
         return []
@@ -153,7 +186,7 @@ def _references(sessions: Sequence[Session]) -> list[str]:
 
 
 def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
-    """Remarks on a session `e` of whole tracks, `jumps` of whose steps were cut."""
+    """Yield remarks on a session `e` of whole tracks, `jumps` of whose steps were cut."""
     commands = e.commands
     field = commands.field[commands.index_at(e.times)]
     if np.abs(np.exp(1j * np.arctan2(field[:, 1], field[:, 0])).mean()) > 1 - 1e-6:
@@ -177,7 +210,7 @@ def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
 
 
 def _swaps(e: PreparedSession) -> Iterator[str]:
-    """Pairs of which each jumps to where the other was."""
+    """Yield remarks on pairs of particles that exchange places between two frames."""
     z = np.where(e.seen, e.z, np.nan)
     steps = np.abs(np.diff(z, axis=0))
     usual = float(np.nanquantile(steps, 0.99))
@@ -191,7 +224,7 @@ def _swaps(e: PreparedSession) -> Iterator[str]:
 
 
 def _idle(e: PreparedSession) -> Iterator[str]:
-    """Particles that stay where they are, or that no command moves."""
+    """Yield remarks on particles that stay where they are, or that no command moves."""
     stuck = e.ids[_stays(e)]
     if stuck.size:
         names = ', '.join(map(str, stuck))
@@ -203,10 +236,20 @@ def _idle(e: PreparedSession) -> Iterator[str]:
 
 
 def at_a_wall(e: PreparedSession) -> np.ndarray:
-    """Tracks (N,) bool of `e` that a wall, or the edge of the dish, holds for much of the time.
+    """Return which tracks are held by a wall, or the edge of the dish, for much of the time.
 
-    They are often at one straight border of all that they visit, and there go along it as the
-    commands say, but hardly towards it.
+    Such tracks are often at one straight border of all that they visit. There they move along it
+    as commanded, but hardly towards it.
+
+    Parameters
+    ----------
+    e : PreparedSession
+        Session of N tracks.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        True for tracks that are held.
     """
     swum = respond(Model.baseline(e.conditions, e.commands), e.timeline).propulsion
     swum = np.broadcast_to(swum, (len(e.times) - 1, len(e.ids)))
@@ -236,9 +279,9 @@ def _left_out(e: PreparedSession, held: np.ndarray) -> list[str]:
 
 
 def _stays(e: PreparedSession) -> np.ndarray:
-    """Tracks (N,) bool of `e` that go no further in a quarter of the time than between frames.
+    """Return which tracks (N,) move no further in a quarter of the time than between frames.
 
-    A particle that feedback holds in place does the same, but follows the commands.
+    A particle that feedback holds in place does so too, but follows the commands.
     """
     z = np.where(e.seen, e.z, np.nan)
     quarter = len(z) // 4
@@ -253,7 +296,7 @@ def _stays(e: PreparedSession) -> np.ndarray:
 
 
 def _follows(e: PreparedSession) -> np.ndarray:
-    """Tracks (N,) bool with a speed, by regression on the first-order model, beyond doubt."""
+    """Return which tracks (N,) have a certain speed, by regression on the first-order model."""
     model = Model.baseline(e.conditions, e.commands)
     swum = respond(model, e.timeline).propulsion
     use = e.joined()

@@ -1,7 +1,7 @@
-"""Where data and model still part: χ² maps of the white residual against one covariate each.
+"""Residual maps: χ² tests of the whitened residual against one covariate each.
 
-With U orthonormal functions of a covariate, after everything fitted is projected off them,
-T = ‖Uᵀr‖² is χ² where nothing is left (a score test: Rao 1948); p-values are Holm's.
+With U orthonormal functions of a covariate, orthogonal to all fitted parameters, T = ‖Uᵀr‖² is χ²
+if the model is complete (a score test: Rao 1948). P-values are adjusted by Holm's method.
 """
 
 from __future__ import annotations
@@ -27,19 +27,42 @@ from microbot_ros.estimation.likelihood.joint import (
 from microbot_ros.estimation.likelihood.model_fit import ModelFit
 
 RANK = 1e-6
-"""Eigenvalue, relative to 1 for a column of its own, below which a direction is fitted already."""
+"""Eigenvalue, relative to 1 for an independent column, below which a direction is already fitted.
+
+Choice: well above rounding errors of double precision in inner products.
+"""
 
 BROAD = 12
-"""Independent frequencies on either side of a peak that tell the noise there."""
+"""Independent frequencies on either side of a peak from which its noise is estimated.
+
+Choice: fewer follow the peak itself, more miss noise that is not white.
+"""
 
 BINS = 12
+"""Bins of a covariate in a figure. Choice: enough for the shape, with small errors in each."""
 
 DIRECTED = 0.02
-"""Part of its largest speed below which a particle has no direction to draw along."""
+"""Fraction of its largest speed below which a particle has no direction to draw along.
+
+Choice: at 2 % rounding and cancellation decide the direction.
+"""
 
 
 def residual_maps(fit: ModelFit, run: Run = serially) -> tuple[ResidualMap, ...]:
-    """All maps of a `fit`, Holm-adjusted together; `run` makes them."""
+    """Compute all residual maps of a fit.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Any fit.
+    run : Run, optional
+        Distributes the maps.
+
+    Returns
+    -------
+    tuple of ResidualMap
+        P-values are adjusted for all of them by Holm's method.
+    """
     covariates = [Covariates(p) for p in fit.session_fits]
     by_name: dict[str, list[tuple[int, Group]]] = {}
     for k, context in enumerate(covariates):
@@ -54,7 +77,7 @@ def residual_maps(fit: ModelFit, run: Run = serially) -> tuple[ResidualMap, ...]
 
 
 def _holm(p_values: list[float]) -> list[float]:
-    """Holm's adjusted p-values: the smallest times their number, and so on, never falling."""
+    """Return adjusted p-values: the smallest times their number, and so on, never falling."""
     order = np.argsort(p_values)
     adjusted = np.array(p_values)[order] * np.arange(len(order), 0, -1)
     result = np.empty(len(order))
@@ -64,7 +87,7 @@ def _holm(p_values: list[float]) -> list[float]:
 
 def _tested(fit: ModelFit, jacobian: Sequence[np.ndarray],
             groups: list[tuple[int, Group]]) -> ResidualMap:
-    """The test of one covariate over the sessions that have it, each with its own coefficients."""
+    """Test one covariate over the sessions that have it, each with its own coefficients."""
     statistic, dof, squares = 0.0, 0, np.empty(0)
     for k, group in groups:
         value, rank, moved = _score(fit.session_fits[k], jacobian[k], group.fields)
@@ -80,10 +103,10 @@ def _tested(fit: ModelFit, jacobian: Sequence[np.ndarray],
 
 def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray,
            ) -> tuple[float, int, np.ndarray]:
-    """T and its degrees of freedom for velocity fields (T−1, N, M), along them and across.
+    """Return T and its degrees of freedom for velocity fields (T − 1, N, M) and their normals.
 
-    Also the squares (R,) of what the best of these fields moves particles within HORIZON, beyond
-    what v and φ absorb, in units of the noise floor of such a prediction.
+    Also the squared displacements (R,) over HORIZON by the best of these fields, beyond what v and
+    φ absorb, in units of the noise floor of such a prediction.
     """
     columns = np.zeros((len(p.session.times), *fields.shape[1:]), complex)
     moved = np.nan_to_num(fields) * np.diff(p.session.times)[:, None, None]
@@ -111,9 +134,21 @@ def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray,
 
 
 def along_and_across(known: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """Real inner products (N, L + 2M, L + 2M) of `known` (T, N, L), `white` (T, N, M), i·`white`.
+    """Return real inner products of known columns, of complex columns, and of these times i.
 
-    All are parts of the complex ones, of which there are half as many.
+    All are parts of the complex inner products, of which there are half as many.
+
+    Parameters
+    ----------
+    known : ndarray of complex, shape (T, N, L)
+        Columns of the data and the fitted parameters.
+    white : ndarray of complex, shape (T, N, M)
+        Columns of the tested fields.
+
+    Returns
+    -------
+    ndarray, shape (N, L + 2M, L + 2M)
+        Inner products for each track.
     """
     every = np.ascontiguousarray(np.concatenate([known, white], axis=-1).transpose(1, 2, 0))
     product = every.conj() @ every.transpose(0, 2, 1)
@@ -123,11 +158,11 @@ def along_and_across(known: np.ndarray, white: np.ndarray) -> np.ndarray:
 
 
 def _rhythm(fit: ModelFit, covariates: list[Covariates] | None = None) -> ResidualMap:
-    """The largest peak of a periodogram: of all particles in the laboratory, or in their frame.
+    """Return the largest peak of a periodogram: in the laboratory, or in the particles' frame.
 
-    Of the longest session. In the laboratory both axes count together (χ² of 4); along the
-    heading and across it count apart, since speed and angle may swing (χ² of 2 each). A peak
-    stands out of the noise around it: a speed that wanders is broad, and no rhythm.
+    For the longest session. In the laboratory both axes count together (χ² of 4). Along and across
+    the heading they count apart, since speed and angle may oscillate (χ² of 2 each). A peak is
+    measured against the noise around it: a wandering speed is broad, and no rhythm.
     """
     k = int(np.argmax([np.ptp(p.session.times) for p in fit.session_fits]))
     p = fit.session_fits[k]
@@ -154,10 +189,11 @@ def _rhythm(fit: ModelFit, covariates: list[Covariates] | None = None) -> Residu
 
 
 def _background(power: np.ndarray, dof: int, signals: int) -> np.ndarray:
-    """The noise (F,) around each frequency of a `power` (F,), in units of white noise; at least 1.
+    """Return the noise (F,) around each frequency, in units of white noise; at least 1.
 
-    `power` is the largest of so many `signals`, χ² of `dof` each where the noise is white. By the
-    median over BROAD independent frequencies on either side, of which a peak is one or two.
+    `power` (F,) is the largest of several `signals`, each χ² of `dof` for white noise. The noise
+    is the median over BROAD independent frequencies on either side, of which a peak occupies one
+    or two.
     """
     from scipy.ndimage import median_filter
     from scipy.special import chdtri
@@ -169,7 +205,7 @@ def _background(power: np.ndarray, dof: int, signals: int) -> np.ndarray:
 
 
 def _single_steps(fit: ModelFit) -> ResidualMap:
-    """The largest step of one particle, and of all of them at once; jumps that were cut out.
+    """Return the largest step of one particle or of all at once, and jumps that were cut out.
 
     It decides nothing: trackers slip and stages are touched, whatever the physics.
     """
@@ -187,10 +223,10 @@ def _single_steps(fit: ModelFit) -> ResidualMap:
 
 
 def _lasting(p: SessionFit, white: np.ndarray) -> np.ndarray:
-    """White residuals (T, N) matched to a step that lasts, where places are known badly.
+    """Return whitened residuals (T, N) matched to a lasting step, for large localisation errors.
 
-    The local-level filter comes after a step by a part K, its steady gain, at every frame: what
-    it has not yet followed is left in the residuals, (1 − K)^k of the step k frames later.
+    The local-level filter follows a step by a fraction K, its steady gain, at every frame. The
+    residual keeps (1 − K)^k of the step k frames later.
     """
     from scipy.signal import lfilter
 
@@ -205,13 +241,13 @@ def _lasting(p: SessionFit, white: np.ndarray) -> np.ndarray:
 def _curves(
     p: SessionFit, group: Group,
 ) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
-    """Mean residual velocity along and across the frame, in bins of the covariate."""
+    """Return the mean residual velocity along and across the frame, in bins of the covariate."""
     e = p.session
     left = np.diff(e.z - p.expected.at(p.velocity_phasor), axis=0)
     length = np.abs(group.frame)
     use = e.joined() & np.isfinite(group.value) & (length > DIRECTED)
     turned = left * np.conj(group.frame) / np.maximum(length, DIRECTED) / np.diff(e.times)[:, None]
-    # Levels that differ by rounding are one.
+    # Levels that differ by rounding errors are equal.
     value, velocity = np.round(group.value[use], 6), turned[use]
     if not value.size:
         return np.empty(0), {}

@@ -1,4 +1,4 @@
-"""How likely χ² is to be as large by chance, however unlikely that is."""
+"""Tail probabilities of χ², exact also where they underflow."""
 
 from __future__ import annotations
 
@@ -6,7 +6,22 @@ import math
 
 
 def log_chi_square_tail(chi_square: float, dof: int) -> float:
-    """Natural log of P(χ² > `chi_square`) for `dof`, exact where P itself underflows."""
+    """Return the natural log of P(χ² > x), exact where P itself underflows.
+
+    Uses the asymptotic series of the incomplete gamma function there (DLMF 8.11.2).
+
+    Parameters
+    ----------
+    chi_square : float
+        x.
+    dof : int
+        Degrees of freedom.
+
+    Returns
+    -------
+    float
+        log P.
+    """
     from scipy.special import gammaincc, gammaln
 
     a, z = dof / 2, max(chi_square, 0.0) / 2
@@ -19,12 +34,38 @@ def log_chi_square_tail(chi_square: float, dof: int) -> float:
 
 
 def chi_square_tail(chi_square: float, dof: int) -> float:
-    """P(χ² > `chi_square`) for `dof` degrees of freedom."""
+    """Return P(χ² > x).
+
+    Parameters
+    ----------
+    chi_square : float
+        x.
+    dof : int
+        Degrees of freedom.
+
+    Returns
+    -------
+    float
+        P.
+    """
     return math.exp(log_chi_square_tail(chi_square, dof))
 
 
 def log_of_any(log_p: float, trials: float) -> float:
-    """Log of 1 − (1 − p)^`trials` from `log_p`: one such by chance among independent trials."""
+    """Return log(1 − (1 − p)ⁿ), of at least one such event in n independent trials.
+
+    Parameters
+    ----------
+    log_p : float
+        Natural log of p.
+    trials : float
+        n.
+
+    Returns
+    -------
+    float
+        Natural log of the probability.
+    """
     if log_p < -30:
         return log_p + math.log(trials)
     if log_p >= 0:
@@ -33,10 +74,24 @@ def log_of_any(log_p: float, trials: float) -> float:
 
 
 def peak_tail_probability(power: float, dof: int, cycles: float) -> float:
-    """P of a periodogram's highest peak, χ² of `dof` 2 or 4 at one frequency, to exceed `power`.
+    """Return the probability that the highest peak of a periodogram exceeds a power by chance.
 
-    `cycles` is bandwidth times duration. By the rate at which so smooth a process crosses a level
-    upwards (Davies 1987; for periodograms Baluev 2008): W z^{(k−1)/2} e^{−z}/Γ(k/2), z = power/2.
+    From the rate at which such a smooth process crosses a level upwards (Davies 1987; for
+    periodograms Baluev 2008): W z^{(k−1)/2} e^{−z}/Γ(k/2) with z = power/2.
+
+    Parameters
+    ----------
+    power : float
+        The level, χ² of `dof` at one frequency.
+    dof : int
+        k: 2 or 4.
+    cycles : float
+        Bandwidth times duration.
+
+    Returns
+    -------
+    float
+        Probability, at most 1.
     """
     z = power / 2
     crossings = cycles * math.sqrt(math.pi / 3) * z ** ((dof - 1) / 2) / math.gamma(dof / 2)

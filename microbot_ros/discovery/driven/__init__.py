@@ -1,1 +1,1 @@
-"""Discovery that drives: what could still be, which commands tell most, and when to end."""
+"""Discovery that drives a rig: open questions, the most informative commands, and when to stop."""

@@ -1,4 +1,4 @@
-"""What was found by driving, as every other search tells it: numbers, model, page."""
+"""Result of a search that drives, in the form of every other search."""
 
 from __future__ import annotations
 
@@ -16,10 +16,22 @@ from microbot_ros.discovery.result import Discovery
 
 def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
                ) -> tuple[Discovery, Session] | None:
-    """Return the result on all experiments, and these as one session; None for too few rows.
+    """Return the result on all experiments together.
 
-    It is the result of `discover` on that session, but for the remarks and the next experiment.
-    `report` is told what is being done.
+    It is the result of `discover` on the joined session, except for remarks and the next
+    experiment.
+
+    Parameters
+    ----------
+    driven : Driven
+        Experiments and looks.
+    report : callable, optional
+        Receives one line of progress before each stage.
+
+    Returns
+    -------
+    (Discovery, Session) or None
+        Result and joined session; None for too few rows.
     """
     if driven.insight is None:
         return None
@@ -40,7 +52,18 @@ def _remarks(driven: Driven) -> tuple[str, ...]:
 
 
 def as_json(driven: Driven) -> dict[str, Any]:
-    """The fields of `result.json` that only a search that drives has."""
+    """Return the fields of `result.json` that only a search that drives has.
+
+    Parameters
+    ----------
+    driven : Driven
+        Experiments and looks.
+
+    Returns
+    -------
+    dict
+        Ending, duration and odds after each experiment.
+    """
     return {
         'decided': driven.decided, 'minutes': driven.seconds / 60,
         'experiments': [

@@ -1,13 +1,13 @@
-"""The commands that tell most: sequences of fields, by what they are expected to decide.
+"""Design of experiments: sequences of fields, by what they are expected to decide.
 
-Two explanations of all that was seen, a and b, expect displacements μ_a and μ_b. What a plan tells
-them apart by is the expected growth of
+Two explanations of all data, a and b, expect displacements μ_a and μ_b. A plan distinguishes them
+by the expected growth of
 
     S = ½ min ‖W(μ_a − μ_b)‖²,
 
-W whitening, the minimum over v and φ of every particle and over b's parameters, of the past and
-the plan together, since what the past has fixed a plan need not fix again. The log likelihood
-ratio of the two grows by S if a holds, and but for second order by the same if b does.
+W whitening. The minimum is over v and φ of every particle and over the parameters of b, for past
+and plan together, since a plan need not determine again what the past did. The log likelihood
+ratio of the two grows by S if a is true, and to first order by the same if b is.
 """
 
 from __future__ import annotations
@@ -36,48 +36,92 @@ from microbot_ros.model.increments import as_vectors
 from microbot_ros.model.model import Model, ParticleParameters
 
 STEP = 0.2
-"""Seconds between the frames of a plan that is tried out."""
+"""Interval of frames of a simulated plan [s].
+
+Choice: shorter than most holds; simulation time is inverse to it.
+"""
 
 RECENT = 2.0
-"""Seconds within which a particle must have been seen last to count as present."""
+"""Time [s] since a particle was last seen up to which it counts as present.
+
+Choice: longer than gaps of tracking, shorter than an experiment.
+"""
 
 RANDOM, PROPOSED, IMPROVED = 3, 24, 24
-"""Random steps and plans of other kinds that are drawn; changes tried on the best of them."""
+"""Number of random-step plans and of other plans (`PROPOSED`) drawn, and of changes tried on the
+best (`IMPROVED`).
+
+Choice: each costs one simulation while the rig waits; with fewer, plans are less informative."""
 
 MARGIN = 10e-6
-"""Distance from the edge of the view [m] that particles should keep."""
+"""Distance [m] that particles should keep from the edge of the view.
+
+Choice: one or two diameters, so that the tracker sees whole particles.
+"""
 
 STRAY = 20.0
-"""What a plan pays for the part of its time that particles would spend out of view or touching."""
+"""Factor on the cost of a plan per fraction of time that particles are out of view or touching.
+
+Choice: a plan that loses 5 % of the time must be twice as informative.
+"""
 
 APART = 3.0
-"""Radii between the centres of spheres that are not to touch: what contact does is in no list."""
+"""Distance of centres, in radii, below which spheres count as touching: contact is in no effect.
+
+Measured: where plans let particles touch, a slowdown was not named in six minutes; with three
+radii it is named after 0.8 min (docs/decisions/asking.md).
+"""
 
 LONGEST = 20.0
-"""Times its own duration for which a plan is thought ahead."""
+"""Longest time, in durations of a plan, for which the cost of a question is extrapolated.
+
+Choice: beyond it, plans that do not help a question are equal.
+"""
 
 FAINT = 10.0 / 2 / 60
-"""Log evidence a second that usual plans bring, for an effect that has not shown yet."""
+"""Log evidence per second that usual plans bring for an effect that is not visible yet.
+
+Choice: ½ · 10 per minute, as a weak effect of the library brings.
+"""
 
 LITTLE = 0.02
-"""Strength, in fit coordinates, at which it is asked what a plan shows of an effect."""
+"""Strength, in fit coordinates, at which a plan's information on an effect is evaluated.
+
+Choice: small enough for the effect to act linearly, large beside rounding.
+"""
 
 AGE, RECOVERY = 60.0, 0.5
-"""Seconds in which something ages, and in which it recovers from a switch."""
+"""Time [s] in which a particle's speed ages, and in which it recovers from a switch (`RECOVERY`).
+
+Choice: typical scales of unknown velocities that depend on time.
+"""
 
 SHOWN = (0.1e-6) ** -2
-"""Information [s²/m²] about a velocity that is there before anything was seen: 0.1 µm/s."""
+"""Prior information [s²/m²] on an unknown velocity: a standard deviation of 0.1 µm/s.
+
+Measured: counted from here, plans separate a channel's flow from a drift by 5.6 in log likelihood
+after 160 s instead of 0.8 (docs/decisions/asking.md).
+"""
 
 STARVED = 0.2
-"""Part of what plans usually show of what is in no list below which a plan pays for hiding it."""
+"""Fraction of the usual information on unlisted velocities below which a plan costs more.
+
+Choice: half of it lets plans hide these; twice of it slows the decision between named effects.
+"""
 
 
 @dataclass(frozen=True)
 class Range:
-    """What a rig can be asked for.
+    """What a rig may be commanded.
 
-    The strongest `field` [T]; the `workspace` that is in view; `frequency` [Hz], lowest and
-    highest of a rolling field, None for particles that swim by themselves.
+    Attributes
+    ----------
+    field : float
+        Largest field [T].
+    workspace : Workspace
+        Area in view.
+    frequency : (float, float) or None
+        Lowest and highest frequency of a rolling field [Hz]; None for swimmers.
     """
 
     field: float
@@ -87,10 +131,16 @@ class Range:
 
 @dataclass(frozen=True)
 class Question:
-    """Two explanations to be told apart: `first` and `second`, fits to the same data.
+    """Two explanations to be distinguished.
 
-    `missing` is the log evidence that is still to come until it is decided, above 0, and `weight`
-    what its answer is worth beside others.
+    Attributes
+    ----------
+    first, second : ModelFit
+        Fits to the same data.
+    missing : float
+        Log evidence until the question is decided, above 0.
+    weight : float
+        Importance relative to other questions.
     """
 
     first: ModelFit
@@ -101,9 +151,16 @@ class Question:
 
 @dataclass(frozen=True)
 class Search:
-    """Effects that have not shown yet: how likely each is, `odds` by name, and what is `missing`.
+    """Effects that are not visible yet.
 
-    Of their strength nothing is known: a plan is held against what plans usually show of them.
+    Their strength is unknown, so plans are compared with what usual plans show of them.
+
+    Attributes
+    ----------
+    odds : mapping of str to float
+        Probability of each effect.
+    missing : float
+        Log evidence until one is named.
     """
 
     odds: Mapping[str, float]
@@ -112,11 +169,16 @@ class Search:
 
 @dataclass(frozen=True)
 class Design:
-    """The `plan` chosen.
+    """A chosen plan.
 
-    `best` (Q,): what each question is expected to gain by the best plan for it alone of all that
-    were tried; `worth`: how many times as long random steps are expected to take, at most
-    LONGEST, as far as plans are thought ahead.
+    Attributes
+    ----------
+    plan : Plan
+        The plan.
+    best : ndarray, shape (Q,)
+        Expected gain of each question by the best plan for it alone, of all plans tried.
+    worth : float
+        How many times as long random steps are expected to take, at most LONGEST.
     """
 
     plan: Plan
@@ -125,9 +187,23 @@ class Design:
 
 
 def random_steps(rng: np.random.Generator, duration: float, limits: Range) -> Plan:
-    """For a `duration` [s]: directions from the circle, each held for 0.3 to 6 s, by `rng`.
+    """Return a plan of random steps.
 
-    At full, half and quarter field of the `limits`.
+    Directions are uniform on the circle, each held for 0.3 to 6 s, at full, half or quarter field.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+    duration : float
+        Duration [s].
+    limits : Range
+        What the rig may be commanded.
+
+    Returns
+    -------
+    Plan
+        Of exactly that duration.
     """
     count = int(duration / 0.3) + 1
     hold = np.exp(rng.uniform(np.log(0.3), np.log(6.0), count))
@@ -138,12 +214,37 @@ def random_steps(rng: np.random.Generator, duration: float, limits: Range) -> Pl
 
 def choose_plan(fit: ModelFit, questions: Sequence[Question], search: Search | None,
                 begin: float, duration: float, limits: Range, rng: np.random.Generator) -> Design:
-    """The plan of `duration` [s] that answers `questions` soonest, from `begin` [s] on.
+    """Return the plan that is expected to answer the questions soonest.
 
-    On the clock of the session of a `fit`, the present explanation of it. What is still in
-    `search` of counts by its odds; None: it is only asked what gains most, by weight. Plans of
-    several kinds are drawn by `rng`; the best is then changed as long as that makes it better.
-    ValueError where no particle is in view.
+    Plans of several kinds are drawn at random; the best is then changed while that improves it.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Current explanation of all data, one session.
+    questions : sequence of Question
+        Explanations to be distinguished.
+    search : Search or None
+        Effects not visible yet, weighted by their odds. None: only the total gain counts, by
+        weight.
+    begin : float
+        Start of the plan [s], on the clock of the session.
+    duration : float
+        Duration [s].
+    limits : Range
+        What the rig may be commanded.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    Design
+        The best of all plans tried.
+
+    Raises
+    ------
+    ValueError
+        If no particle is in view.
     """
     trial = _Trial.of(fit, questions, search or Search({}, 1.0), begin, limits)
     drawn = [random_steps(rng, duration, limits) for _ in range(RANDOM)]
@@ -164,13 +265,13 @@ def choose_plan(fit: ModelFit, questions: Sequence[Question], search: Search | N
                   min(float(np.median(costs[:RANDOM])) / cost, LONGEST))
 
 
-# What a plan is worth ---------------------------------------------------------------------------
+# Value of a plan --------------------------------------------------------------------------------
 
 @dataclass(frozen=True)
 class _Outcome:
-    """What is expected of a plan that was tried in a `trial`, and seen as a `session`.
+    """What is expected of a plan that was tried in a `trial`, and simulated as a `session`.
 
-    Which part of their time particles are `astray` and `touching`; the rest when it is asked for.
+    Fractions of time that particles are `astray` and `touching`; the rest is computed when needed.
     """
 
     trial: _Trial
@@ -180,31 +281,31 @@ class _Outcome:
 
     @cached_property
     def gains(self) -> np.ndarray:
-        """By how much S (Q,) of every question grows."""
+        """Growth of S (Q,) for every question."""
         return self.trial.gains(self.session)
 
     @cached_property
     def search(self) -> np.ndarray:
-        """Information (E,) about each effect in search."""
+        """Information (E,) on each effect in search."""
         return self.trial.sought(self.session)
 
     @cached_property
     def shown(self) -> float:
-        """How much it would add to what is known of what is in no list."""
+        """Information gained on velocities that are in no list."""
         return self.trial.shown(self.session)
 
     @property
     def spoilt(self) -> float:
-        """What it costs, as a factor, that particles are where nothing is to be learned."""
+        """Factor on the cost for particles that are astray or touching."""
         return 1 + STRAY * (self.astray + self.touching)
 
 
 @dataclass(frozen=True)
 class _Price:
-    """What a plan costs: the seconds until all is answered, as far as these can be foreseen.
+    """Cost of a plan: expected seconds until all questions are answered.
 
-    The longest question and the mean by weight; more for hiding what is in no list, beside what
-    plans of that `duration` [s] usually show of it, and for particles astray or touching.
+    The longest question plus the weighted mean. It is higher for plans that show less than usual
+    plans of this `duration` [s] of velocities in no list, and for particles astray or touching.
     """
 
     trial: _Trial
@@ -229,15 +330,17 @@ class _Price:
         spent = self.duration + float(asked[trial.weight >= 1].max(initial=0.0))
         spent += float(weight @ np.concatenate([asked, sought]) / max(weight.sum(), 1e-9))
         shown = outcome.shown / max(self.usual_shown, 1e-30)
-        # Where nothing is asked, what is in no list is all there is to look for.
+        # Without a question, only velocities in no list remain to be found.
         useful = min(shown / STARVED, 1.0) if trial.questions else shown
         return spent * outcome.spoilt / max(useful, 1e-3)
 
 
 @dataclass(frozen=True)
 class _Divergence:
-    """What a plan costs where all that counts is how far apart it sets what may be true: the
-    inverse of its gains by weight (Box and Hill 1967); more for particles astray or touching."""
+    """Cost of a plan where only the divergence of explanations counts (Box and Hill 1967).
+
+    The inverse of its weighted gains; higher for particles astray or touching.
+    """
 
     trial: _Trial
 
@@ -248,13 +351,13 @@ class _Divergence:
 
 @dataclass(frozen=True)
 class _Trial:
-    """Plans tried out on the particles that are in view, all questions at once.
+    """Simulation of plans with the particles in view, for all questions at once.
 
-    `tracks` of those particles in the session of `fit`, that `start` (N, 2) [m] where they were
-    last; `past`: for each question the inner products (N, M, M) of its columns over what was seen;
-    `little`: for each strength of the effects in `search` their place there and the model with a
-    little of it, `seen` (N, M, M) the inner products of what these do, `known` (N, M, M) those of
-    what may be in no list.
+    `tracks` are those particles in the session of `fit`, which `start` (N, 2) [m] where they were
+    last seen. `past` has the inner products (N, M, M) of each question's columns over the data.
+    `little` has for each strength of the effects in `search` the index of the effect and the model
+    with a little of it; `seen` (N, M, M) the inner products of what these do, `known` (N, M, M)
+    those of velocities in no list.
     """
 
     fit: ModelFit
@@ -276,7 +379,7 @@ class _Trial:
            limits: Range) -> _Trial:
         present = fit.session_fits[0].session
         recent = present.times > present.times[-1] - RECENT
-        # Where it is counts, though chance may have turned it in a way that nothing foretells.
+        # Its position counts, even if its heading cannot be predicted.
         seen = np.where(present.z[recent] != 0, present.z[recent], np.nan)
         tracks = np.flatnonzero(np.isfinite(seen).any(axis=0))
         if not tracks.size:
@@ -296,13 +399,13 @@ class _Trial:
             np.array([q.missing for q in questions]), np.array([q.weight for q in questions]))
 
     def score(self, plan: Plan) -> _Outcome:
-        """What is expected of a `plan`."""
+        """Return what is expected of a `plan`."""
         commands = plan.commands(self.begin)
         times = self.begin + np.arange(0.0, plan.duration, STEP)
         known = self.fit.session_fits[0]
         particles = ParticleParameters.from_velocity_phasor(
             known.session.ids[self.tracks], known.velocity_phasor[self.tracks])
-        # Where they come by is what matters, not to the last micrometre.
+        # A path that is off by some micrometres is accurate enough.
         plain = replace(self.fit.model, effects=tuple(
             e for e in self.fit.model.effects if not e.needs_position))
         places = simulate(plain, particles, commands, times, self.start)
@@ -315,7 +418,7 @@ class _Trial:
         return _Outcome(self, trial, astray, _touching(z, known.session.conditions.radius))
 
     def gains(self, trial: PreparedSession) -> np.ndarray:
-        """By how much S (Q,) of every question grows in a trial."""
+        """Return the growth of S (Q,) for every question in a trial."""
         gains = []
         for question, columns, past, before in zip(
                 self.questions, _columns(self.questions, trial, self.tracks), self.past,
@@ -326,8 +429,10 @@ class _Trial:
         return np.array(gains)
 
     def shown(self, trial: PreparedSession) -> float:
-        """How much a trial would add to what is known of smooth velocities in no list: the log
-        of the information, what was hardly known before counts most."""
+        """Return the information that a trial adds on smooth velocities in no list.
+
+        The log of the information: velocities that were hardly known before count most.
+        """
         total = self.known.copy()
         total[self.tracks] += _covered(self.fit, trial, self.tracks, self.limits.workspace)
         return float(np.log(_power(total) / self._power_before).sum())
@@ -337,7 +442,7 @@ class _Trial:
         return _power(self.known)
 
     def sought(self, trial: PreparedSession) -> np.ndarray:
-        """Information (E,) that a trial adds about the effects in search, what v and φ leave."""
+        """Return the information (E,) that a trial adds on effects in search, beside v and φ."""
         fit = self.fit.session_fits[0]
         total = self.seen.copy()
         total[self.tracks] += _gram(
@@ -358,10 +463,10 @@ class _Trial:
 
 def _columns(questions: Sequence[Question], session: PreparedSession,
              tracks: np.ndarray | slice) -> list[np.ndarray]:
-    """For each of the `questions` what tells the two apart, v and φ of the second, and its
-    parameters: (T, N, 3 + P) [m].
+    """Return columns (T, N, 3 + P) [m] for each of the `questions`.
 
-    In a `session`, which has the `tracks` of the one that all were fitted to.
+    The difference of the two, v and φ of the second, and its parameters, in a `session` that has
+    the `tracks` of the one that all were fitted to.
     """
     fits = {id(fit): fit for q in questions for fit in (q.first, q.second)}
     here = {key: _expected(fit, fit.model, session, tracks) for key, fit in fits.items()}
@@ -373,14 +478,14 @@ def _columns(questions: Sequence[Question], session: PreparedSession,
 
 def _expected(fit: ModelFit, model: Model, session: PreparedSession, tracks: np.ndarray | slice,
               ) -> np.ndarray:
-    """Displacements (T, N) [m] by a `model`, of particles as they are by a `fit`."""
+    """Return displacements (T, N) [m] by a `model`, of the particles of a `fit`."""
     own = fit.session_fits[0].velocity_phasor[tracks]
     return ExpectedDisplacement.of(model, session.timeline).at(own)
 
 
 def _changes(fit: ModelFit, here: np.ndarray, session: PreparedSession,
              tracks: np.ndarray | slice) -> list[np.ndarray]:
-    """What v, φ and each parameter change about the displacements `here` (T, N) [m] by a `fit`."""
+    """Return derivatives of the displacements `here` (T, N) [m] by v, φ and each parameter."""
     expected = ExpectedDisplacement.of(fit.model, session.timeline)
     changes = [np.broadcast_to(one, here.shape) for one in (expected.along, expected.across)]
     x = fit.model.vector()
@@ -393,7 +498,7 @@ def _changes(fit: ModelFit, here: np.ndarray, session: PreparedSession,
 
 
 def _little(model: Model, names: Iterable[str]) -> list[tuple[int, Model]]:
-    """For every strength of the effects `names`, their place and a `model` with a little of it."""
+    """Return, per strength of effects `names`, its effect's index and a model with a little."""
     return [(place, model.with_effect(replace(
         EFFECTS[name].null(), **{p.field: p.from_fit(min(LITTLE, p.fit_bounds[1]))})))
         for place, name in enumerate(names)
@@ -402,7 +507,7 @@ def _little(model: Model, names: Iterable[str]) -> list[tuple[int, Model]]:
 
 def _strengths(fit: ModelFit, little: Sequence[tuple[int, Model]], session: PreparedSession,
                tracks: np.ndarray | slice) -> np.ndarray:
-    """Nothing, v and φ, and what a little of each strength does: columns (T, N, 3 + L) [m]."""
+    """Return columns (T, N, 3 + L) [m]: zero, v and φ, and a little of each strength."""
     phasor, timeline = fit.session_fits[0].velocity_phasor[tracks], session.timeline
     expected = ExpectedDisplacement.of(fit.model, timeline)
     here = expected.at(phasor)
@@ -413,16 +518,15 @@ def _strengths(fit: ModelFit, little: Sequence[tuple[int, Model]], session: Prep
 
 
 def _gram(fit: SessionFit, session: PreparedSession, columns: np.ndarray) -> np.ndarray:
-    """Inner products (N, M, M) of `columns` (T, N, M) [m] of a `session`, in units of the noise of
-    a `fit`."""
+    """Return inner products (N, M, M) of `columns` (T, N, M) [m], in units of a fit's noise."""
     plain = Whitening(fit.whitening.noise_ratio)
     return inner(plain.apply(session, np.ascontiguousarray(columns))[0]) / fit.diffusion
 
 
 def _touching(z: np.ndarray, radius: float | None) -> float:
-    """Part of their time that particles at places z (T, N) [m] spend nearer than APART to another.
+    """Return the fraction of time that particles at z (T, N) [m] are nearer than APART.
 
-    None of it where their `radius` [m] is not known.
+    0 if their `radius` [m] is not known.
     """
     if radius is None:
         return 0.0
@@ -430,19 +534,18 @@ def _touching(z: np.ndarray, radius: float | None) -> float:
 
 
 def _separation(gram: np.ndarray) -> float:
-    """½ of what is left of the first column, v and φ of all and shared parameters projected off.
-    """
+    """Return ½ of the first column's power beside v, φ and shared parameters."""
     left = eliminate(gram).sum(axis=0)
     return max(float(eliminate_shared(left, len(left) - 1)[0, 0]), 0.0) / 2
 
 
 def _covered(fit: ModelFit, session: PreparedSession, tracks: np.ndarray | slice,
              view: Workspace) -> np.ndarray:
-    """Inner products (N, M, M) of nothing, v and φ, a drift, and what may be in no list.
+    """Return inner products (N, M, M) of zero, v and φ, a drift, and velocities in no list.
 
-    Those are smooth velocities that depend on place in the `view` (10 of them), heading (3),
-    strength, age or the time since a switch; what they do in a `session` that has the `tracks` of
-    the one that was fitted.
+    These are smooth velocities that depend on place in the `view` (10 of them), heading (3),
+    strength, age or the time since a switch, in a `session` that has the `tracks` of the fitted
+    one.
     """
     expected = ExpectedDisplacement.of(fit.model, session.timeline)
     own = np.diff(expected.at(fit.session_fits[0].velocity_phasor[tracks]), axis=0)
@@ -468,7 +571,7 @@ def _covered(fit: ModelFit, session: PreparedSession, tracks: np.ndarray | slice
 
 
 def _across(view: Workspace, places: np.ndarray) -> np.ndarray:
-    """Where in the `view` places (T, N, 2) [m] are, (2, T, N): −1 at one edge, 1 at the other."""
+    """Return places (T, N, 2) [m] in units of the `view` (2, T, N): from −1 to 1 at its edges."""
     low, high = (np.where(np.isfinite(edge), edge, default) for edge, default in (
         (view.low, np.nanmin(places, axis=(0, 1))), (view.high, np.nanmax(places, axis=(0, 1)))))
     half = np.maximum(high - low, 1e-9) / 2
@@ -476,14 +579,14 @@ def _across(view: Workspace, places: np.ndarray) -> np.ndarray:
 
 
 def _power(gram: np.ndarray) -> np.ndarray:
-    """What v, φ and a drift leave of each of the columns after them, and what was known before."""
+    """Return the power of each later column beside v, φ and a drift, plus prior information."""
     return np.diagonal(eliminate_shared(eliminate(gram).sum(axis=0), 2))[1:] + SHOWN
 
 
 # Drawing plans ----------------------------------------------------------------------------------
 
 def _draw(rng: np.random.Generator, duration: float, limits: Range) -> Plan:
-    """A plan of some kind: how long, how far and in which senses it turns are all drawn."""
+    """Return a plan with random holds, turns, senses and field levels."""
     usual = np.exp(rng.uniform(np.log(0.4), np.log(duration / 3)))
     spread = rng.choice([1.0, 1.6, 4.0])
     count = int(duration / (usual / spread)) + 2
@@ -498,7 +601,7 @@ def _draw(rng: np.random.Generator, duration: float, limits: Range) -> Plan:
 
 
 def _angles(rng: np.random.Generator, count: int) -> np.ndarray:
-    """From anywhere on the circle; by turns of one or two sizes; or to and fro."""
+    """Return random angles, turns of one or two sizes, or reversals."""
     kind = rng.integers(4)
     if kind == 0:
         return rng.uniform(-np.pi, np.pi, count)
@@ -518,7 +621,7 @@ def _frequencies(rng: np.random.Generator, count: int, limits: Range) -> np.ndar
 
 
 def _change(rng: np.random.Generator, plan: Plan, other: Plan, limits: Range, k: int) -> Plan:
-    """A plan with a part changed: one kind of change after the other."""
+    """Return a plan with one part changed: the kinds of change in turn."""
     duration = plan.duration
     kind, count = k % 5, len(plan.hold)
     here = rng.random(count) < max(0.25, 1 / count)

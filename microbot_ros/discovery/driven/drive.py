@@ -1,4 +1,4 @@
-"""The loop: play, look, ask, play again, until the question is settled, or cannot be."""
+"""Loop of experiment, look and next question, until the question is settled or cannot be."""
 
 from __future__ import annotations
 
@@ -26,63 +26,86 @@ from microbot_ros.discovery.report.words import words
 from microbot_ros.discovery.verdict import Judgement, judge, scrutinised
 
 Decided = Literal['settled', 'undecidable', 'out_of_time', 'stopped']
+"""How a search ended."""
 
 BRIEF, LONG, GROWTH = 10.0, 20.0, 8.0
-"""Seconds that an experiment takes at first and at most, and how many times as long as one all
-before it have lasted: a look tells as much more as there is more to look at."""
+"""Shortest and longest duration [s] of an experiment (`LONG`), and the ratio (`GROWTH`) of the
+time so far to the duration of the next one.
+
+Each look then has 1/8 more data than the one before. Measured: with experiments of 10 s the first
+name came after 1.8 min instead of 2.2 on seven worlds (docs/decisions/asking.md). Shorter ones
+spend more of their time on looks, longer ones follow an outdated plan."""
 
 SHORTEST = 10.0
-"""Seconds left for which another one is not begun."""
+"""Remaining time [s] below which no experiment begins: that of the first, BRIEF."""
 
 THOUGHT = 2.0
-"""Seconds from the end of one experiment to the beginning of the next, about."""
+"""Expected time [s] between two experiments. Choice: about what a look takes on a laptop."""
 
 HINTS = 120.0
-"""Seconds in which, until there is a name, plans only follow what is likeliest; then they go for
-what has not shown, too."""
+"""Time [s] for which plans follow only the likeliest explanations until one is named.
+
+Measured: such plans had the first name after 1.2 min instead of 1.9 on twelve worlds
+(docs/decisions/asking.md). After it plans also look for effects that have not shown.
+"""
 
 SCRUTINY = 300.0
-"""Seconds before which no name is final: what is in no list needs time to show beside it."""
+"""Time [s] before which no name is final: a cause in no list needs time to show beside it.
+
+Choice: a shorter time names more proxies of unlisted causes, a longer one delays every result.
+"""
 
 UNEXPLAINED = 44.0
-"""Seconds for which something is left at every look, for it to be in no list."""
+"""Time [s] for which every look must leave a residual until its cause is in no list.
+
+Choice: two to four looks, in which an effect of the library would have joined the model.
+"""
 
 
 @dataclass(frozen=True)
 class Played:
-    """An experiment as it was recorded, and why it was broken off, `stopped`; '' where it was not.
-    """
+    """A recorded `session` of an experiment, and why it was `stopped`; '' if it was not."""
 
     session: Session
     stopped: str = ''
 
 
 class Rig(Protocol):
-    """What is driven: a rig, or a simulated one."""
+    """Protocol of a rig, real or simulated."""
 
     @property
     def limits(self) -> Range:
-        """What it can be asked for."""
+        """What the rig may be commanded."""
 
     @property
     def seconds(self) -> float:
-        """Since the first experiment began."""
+        """Time since the first experiment began [s]."""
 
     def play(self, plan: Plan) -> Played:
-        """Play a `plan` to its end, and record it."""
+        """Play a plan to its end and record it.
+
+        Parameters
+        ----------
+        plan : Plan
+            Fields to play.
+
+        Returns
+        -------
+        Played
+            The recording.
+        """
 
 
 @dataclass(frozen=True)
 class Insight:
-    """What follows from all experiments so far: `known` hypotheses, and the `judgement` on them.
-    """
+    """Conclusions from all experiments: hypotheses `known`, and the `judgement` on them."""
 
     known: Hypotheses
     judgement: Judgement
 
     @property
     def question(self) -> str:
-        """What is open, as it is asked."""
+        """The open question, as a question."""
         judgement = self.judgement
         for slot in self.known.slots:
             rivals = judgement.open.get(slot.own.id, tuple(
@@ -102,12 +125,24 @@ class Insight:
 
 @dataclass(frozen=True)
 class Look:
-    """A look after an experiment, `seconds` since the first began.
+    """Summary of the state of knowledge after an experiment.
 
-    Its `plan` in words; why it was broken off, `stopped`, '' where it was not; the `judgement`,
-    None where there was not enough to look at; the probability of each effect, and of none (''),
-    `odds`, empty where nothing is known; how much longer random steps would have taken for what
-    was expected of it, `saved` [s]. It holds no fits: those of many looks are gigabytes.
+    It holds no fits: those of many looks take gigabytes.
+
+    Attributes
+    ----------
+    plan : str
+        The plan in words.
+    stopped : str
+        Why the experiment was stopped; '' if it was not.
+    seconds : float
+        Time since the first experiment began [s].
+    judgement : Judgement or None
+        None for too few data.
+    odds : dict of str to float
+        Probability of each effect, and of none (''); empty if nothing is known.
+    saved : float
+        How much longer [s] random steps would have taken for the expected gain.
     """
 
     plan: str
@@ -120,10 +155,22 @@ class Look:
 
 @dataclass
 class Driven:
-    """All that was driven and seen: `experiments`, with a look after each, and how it ended.
+    """All experiments of a search, and how it ended.
 
-    `insight`: the last there was, None where there was none; `decided` and, where it was stopped,
-    the `reason`; `twins`: pairs of effects that no command tells apart.
+    Attributes
+    ----------
+    experiments : list of Session
+        Recordings.
+    looks : list of Look
+        One after each experiment.
+    insight : Insight or None
+        The last one.
+    decided : Decided
+        How the search ended.
+    reason : str
+        Why it was stopped.
+    twins : tuple of (str, str)
+        Pairs of effects that no command distinguishes.
     """
 
     experiments: list[Session] = field(default_factory=list)
@@ -135,13 +182,12 @@ class Driven:
 
     @property
     def seconds(self) -> float:
-        """From the beginning of the first experiment to the end of the last."""
+        """Time from the start of the first experiment to the end of the last [s]."""
         return self.looks[-1].seconds if self.looks else 0.0
 
     @property
     def named_after(self) -> float | None:
-        """Seconds after which the names of the end were there, and alone, for good; None: never.
-        """
+        """Time [s] after which the final names were settled for good; None for never."""
         since = None
         for look in reversed(self.looks):
             if not (look.judgement and self.insight and look.judgement.settled
@@ -152,19 +198,46 @@ class Driven:
 
 
 Designer = Callable[..., Design]
+"""Function with the signature of `choose_plan`."""
 
 
 def lasting(seconds: float) -> float:
-    """How long the next experiment takes [s], so many `seconds` after the first began."""
+    """Return the duration of the next experiment.
+
+    Parameters
+    ----------
+    seconds : float
+        Time since the first experiment began [s].
+
+    Returns
+    -------
+    float
+        Duration [s], from BRIEF to LONG.
+    """
     return min(max(seconds / GROWTH, BRIEF), LONG)
 
 
 def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: None,
           seed: int = 0, designer: Designer = choose_plan) -> Driven:
-    """Drive a `rig` for as many `minutes` at most, until what is missing is settled.
+    """Drive a rig until the question of the missing effect is settled.
 
-    `report` is told each step in a sentence; `seed` decides what is drawn. `designer` has the
-    signature of `choose_plan`. What stops a rig ends it with what was learned so far.
+    Parameters
+    ----------
+    rig : Rig
+        The rig. If it stops, the search ends with what was learned so far.
+    minutes : float
+        Time limit [min].
+    report : callable, optional
+        Receives one sentence for each step.
+    seed : int, optional
+        Seed of random plans.
+    designer : Designer, optional
+        Chooses the plans.
+
+    Returns
+    -------
+    Driven
+        Experiments, looks and ending.
     """
     result, rng = Driven(), np.random.default_rng(seed)
     plan: Plan | None = random_steps(rng, min(BRIEF, 60 * minutes), rig.limits)
@@ -200,17 +273,17 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
 
 
 def _in_words(odds: Mapping[str, float]) -> str:
-    """The four explanations of the highest probability in `odds`, in a line."""
+    """Return the four likeliest explanations in one line."""
     ranked = sorted(odds.items(), key=lambda one: -one[1])[:4]
     return 'likeliest: ' + ', '.join(
         f'{name.replace("_", " ") or "nothing"} {share:.1%}' for name, share in ranked)
 
 
 def _look(result: Driven, last: bool = False) -> Insight | None:
-    """Return what follows from all experiments together; None where they are not enough.
+    """Return the conclusions from all experiments together; None where these are too few.
 
-    The search goes on from the effects of the look before. The `last` look is the search of
-    `discover`: from no effect on, and for a term that no name explains.
+    The search continues from the effects of the previous look. The `last` look is the search of
+    `discover`: from no effect on, and with a search for a learned term.
     """
     before = None if last else result.insight
     try:
@@ -223,7 +296,7 @@ def _look(result: Driven, last: bool = False) -> Insight | None:
 
 
 def _unexplained(result: Driven) -> bool:
-    """Whether something has been left for so long that it is in no list."""
+    """Return whether a residual has been left for so long that its cause is in no list."""
     since = result.seconds
     for look in reversed(result.looks):
         if not (look.judgement and look.judgement.left):
@@ -234,8 +307,7 @@ def _unexplained(result: Driven) -> bool:
 
 def _next(result: Driven, insight: Insight | None, left: float, limits: Range,
           rng: np.random.Generator, designer: Designer) -> tuple[Plan | None, float]:
-    """The next plan while so many seconds are `left`, None where there is no use in one; and the
-    seconds that it saves."""
+    """Return the next plan, and the seconds that it saves; None where no plan is useful."""
     duration = min(lasting(result.seconds), left)
     if insight is None:
         return random_steps(rng, duration, limits), 0.0

@@ -1,4 +1,4 @@
-"""Experiments as one recording: the same particles on one clock, with breaks where it paused."""
+"""Experiments joined to one session: the same particles on one clock, with breaks at pauses."""
 
 from __future__ import annotations
 
@@ -10,24 +10,45 @@ import numpy as np
 from microbot_ros.common.records import Commands, Session, Tracks
 
 PAUSE = 1.0
-"""Seconds without a frame from which an experiment does not go on with the one before."""
+"""Time [s] without frames above which a session has a break.
+
+Choice: longer than gaps of tracking, shorter than the time between two experiments.
+"""
 
 SETTLING = 2.0
-"""Seconds after a pause that are not looked at: where particles head comes from what was
-commanded in it, which is not told."""
+"""Time [s] after a pause that is left out.
+
+The commands during the pause are not recorded, and headings depend on them. Choice: longer than
+usual alignment times.
+"""
 
 TINY = 1e-4
-"""Seconds after a frame at which what is in force there is told."""
+"""Time [s] after a frame at which the field in force there is recorded. Choice: below any
+interval."""
 
 
 def join(experiments: Sequence[Session]) -> Session:
-    """`experiments` on one clock, in their order, as one session.
+    """Join experiments to one session on one clock.
 
-    Particles keep their ids, and with them v and φ; what counts time goes on. Where one does not
-    go on with the one before, for longer than PAUSE, there is a break: what is seen in SETTLING is
-    left out, and the first field holds back to the last frame before. Left out is what comes
-    after the last field of an experiment, too; of a frame that two have, the second. ValueError
-    where nothing is seen under a field, and where one begins before the one before has ended.
+    Particles keep their ids, and with them v and φ; age and time continue. Where an experiment
+    begins more than PAUSE after the one before, there is a break: frames within SETTLING are left
+    out, and the first field holds back to the last frame before. Frames after the last field of an
+    experiment are left out too. Of a frame that two experiments have, the second is kept.
+
+    Parameters
+    ----------
+    experiments : sequence of Session
+        In order of time.
+
+    Returns
+    -------
+    Session
+        With breaks.
+
+    Raises
+    ------
+    ValueError
+        If no frame has a field, or an experiment begins before the one before has ended.
     """
     tracks: list[Tracks] = []
     commands: list[Commands] = []
@@ -63,7 +84,7 @@ def join(experiments: Sequence[Session]) -> Session:
 
 
 def _driven(one: Session) -> tuple[float, float]:
-    """From when on the field flows in an experiment, and until when [s]; never: both 0."""
+    """Return when the field begins and ends in an experiment [s]; both 0 for no field."""
     on = np.hypot(*one.commands.field.T) > 0
     if not on.any():
         return 0.0, 0.0
@@ -79,7 +100,7 @@ def _between(tracks: Tracks, begin: float, end: float) -> Tracks:
 
 
 def _in_force(commands: Commands, begin: float, end: float) -> Commands:
-    """The rows in force after `begin` [s], from then on, and before `end` [s]."""
+    """Return the rows in force after `begin` [s], from then on, and before `end` [s]."""
     told = _rows(commands, max(int(commands.index_at(begin)), 0), end)
     t = told.t.copy()
     t[:1] = np.maximum(t[:1], begin + TINY)
@@ -87,7 +108,7 @@ def _in_force(commands: Commands, begin: float, end: float) -> Commands:
 
 
 def _rows(commands: Commands, first: int, end: float) -> Commands:
-    """From the `first` row on, those before `end` [s]."""
+    """Return rows from index `first` on, before `end` [s]."""
     rows = slice(first, int(np.searchsorted(commands.t, end)))
     return Commands(commands.t[rows], commands.field[rows],
                     None if commands.frequency is None else commands.frequency[rows])

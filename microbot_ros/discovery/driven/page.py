@@ -1,4 +1,4 @@
-"""The part of the report on how the question was asked: plans in words, odds over time."""
+"""The part of the report on the experiments: plans in words, and odds over time."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from microbot_ros.discovery.report.figures import FLOOR, embedded
 from microbot_ros.discovery.report.words import words
 
 _TEMPLATE = Path(__file__).with_name('page.html')
+"""Template of this part of the report."""
 
 _SHOWN = 0.05
-"""Odds that an effect must have had once, to be drawn."""
+"""Probability that an effect must once have had to be drawn. Choice: more lines hide the likely
+ones."""
 
 _ENDINGS = {
     'settled': 'The question was settled.',
@@ -22,10 +24,22 @@ _ENDINGS = {
     'out_of_time': 'Time was out before the question was settled.',
     'stopped': 'The experiments were stopped',
 }
+"""How a search ended, as sentences."""
 
 
 def section(driven: Driven) -> str:
-    """What was `driven` as HTML, for `report.write_report`."""
+    """Return the experiments as HTML, for `report.write_report`.
+
+    Parameters
+    ----------
+    driven : Driven
+        Experiments and looks.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters['likeliest'] = likeliest
@@ -46,13 +60,35 @@ def _ending(driven: Driven) -> str:
 
 
 def likeliest(look: Look) -> list[tuple[str, float]]:
-    """The two things that were likeliest at a `look`, in words, with their odds."""
+    """Return the two likeliest explanations at a look.
+
+    Parameters
+    ----------
+    look : Look
+        A look.
+
+    Returns
+    -------
+    list of (str, float)
+        Name in words and probability.
+    """
     ranked = sorted(look.odds.items(), key=lambda one: -one[1])[:2]
     return [(words(name) or 'nothing', share) for name, share in ranked]
 
 
 def draw_odds(driven: Driven) -> Figure | None:
-    """The odds of what was ever likely over the minutes; None where nothing was known."""
+    """Draw the probabilities of explanations over time.
+
+    Parameters
+    ----------
+    driven : Driven
+        Experiments and looks.
+
+    Returns
+    -------
+    Figure or None
+        Explanations that were ever likely; None if nothing was known.
+    """
     looks = [look for look in driven.looks if look.odds]
     names = sorted({name for look in looks for name, share in look.odds.items()
                     if share > _SHOWN})

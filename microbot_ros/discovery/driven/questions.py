@@ -1,4 +1,4 @@
-"""What is to be asked next of a rig, and when no command can settle it."""
+"""The next questions to a rig, and when no command can settle them."""
 
 from __future__ import annotations
 
@@ -13,20 +13,45 @@ from microbot_ros.discovery.hypotheses import RIVAL, Hypotheses, Slot
 from microbot_ros.discovery.verdict import Judgement, enough
 
 CREDIBLE = 1.0
-"""Log evidence from which what could be there, beside or in place, is asked for."""
+"""Log evidence above which a further effect or a rival becomes a question.
+
+Choice: from 0 on, names came no sooner on 15 worlds (docs/decisions/asking.md); a larger value
+asks later.
+"""
 
 HOPELESS = 0.5
-"""Log odds that a search as long as this must bring at least, for a question to be of use."""
+"""Expected log evidence of a whole search below which a question is hopeless.
+
+Choice: a ninth of what decides between rivals (RIVAL). A larger value gives up questions that a
+second search would settle, a smaller one asks in vain.
+"""
 
 ASKED = 4
-"""Rivals of an effect, and effects beside, that are asked for at a time."""
+"""Maximum number of rivals of an effect, and of further effects, that are asked about at a time.
+
+Choice: each costs one expected displacement per plan tried.
+"""
 
 LIKELIEST = 5
-"""Explanations, nothing among them, that are told apart before anything is named."""
+"""Number of explanations, including no effect, that are distinguished before anything is named.
+
+Choice: ten pairs; more cost time, fewer may leave out the true one (docs/decisions/asking.md).
+"""
 
 
 def questions(known: Hypotheses) -> list[Question]:
-    """What is to be told apart next, the present model's own rivals first."""
+    """Return the explanations to be distinguished next.
+
+    Parameters
+    ----------
+    known : Hypotheses
+        Models that may explain the data.
+
+    Returns
+    -------
+    list of Question
+        Rivals of the current model first.
+    """
     asked = []
     for slot in known.slots:
         asked += _of_slot(known, slot)
@@ -42,10 +67,20 @@ def questions(known: Hypotheses) -> list[Question]:
 
 
 def likeliest(known: Hypotheses) -> list[Question]:
-    """What is to be told apart before anything is named: the likeliest that may be in the place
-    that is open, nothing among them, pair by pair, weighed by the odds of both.
+    """Return the questions before anything is named: the likeliest explanations in pairs.
 
-    At the strength that each would have if it were there, however weak the sign of it is.
+    They compete for the open slot, no effect among them. Pairs are weighted by the odds of both.
+    Each effect has the strength that it would have if present, however weak its evidence is.
+
+    Parameters
+    ----------
+    known : Hypotheses
+        Models that may explain the data.
+
+    Returns
+    -------
+    list of Question
+        Pairs of the LIKELIEST explanations.
     """
     slot = known.slots[-1] if known.slots else None
     some = (slot.own, *slot.rivals) if slot else known.more
@@ -57,7 +92,18 @@ def likeliest(known: Hypotheses) -> list[Question]:
 
 
 def search(known: Hypotheses) -> Search:
-    """What has not shown yet, and may."""
+    """Return the effects that are not visible yet.
+
+    Parameters
+    ----------
+    known : Hypotheses
+        Models that may explain the data.
+
+    Returns
+    -------
+    Search
+        Their odds, and the evidence for a name.
+    """
     odds = known.odds()
     share = 1.0 if not known.slots else 0.2 / max(len(known.more), 1)
     return Search({one.id: odds.get(one.id, 0.0) if not known.slots else share
@@ -74,9 +120,24 @@ def _of_slot(known: Hypotheses, slot: Slot) -> list[Question]:
 
 
 def hopeless(asked: Sequence[Question], design: Design, seconds: float) -> list[Question]:
-    """Which of the questions `asked` no plan that was tried would help in a search of `seconds`.
+    """Return the questions that no plan would help in a search of this length.
 
-    Of the whole search, not of what is left of it: that time runs out is no word about a rig.
+    The length is that of the whole search, not of the remaining time, which says nothing about a
+    rig.
+
+    Parameters
+    ----------
+    asked : sequence of Question
+        All questions.
+    design : Design
+        Chosen plan, with the best gains of all plans tried.
+    seconds : float
+        Duration of the search [s].
+
+    Returns
+    -------
+    list of Question
+        Questions whose expected gain is below HOPELESS.
     """
     reach = design.best * seconds / design.plan.duration
     return [question for question, gain in zip(asked, reach, strict=True) if gain < HOPELESS]
@@ -84,9 +145,21 @@ def hopeless(asked: Sequence[Question], design: Design, seconds: float) -> list[
 
 def twins(known: Hypotheses, judgement: Judgement,
           beyond: Sequence[Question]) -> tuple[tuple[str, str], ...]:
-    """Pairs of a named effect and a rival that nothing tells apart.
+    """Return pairs of a named effect and a rival that no command distinguishes.
 
-    () while anything else is open: what is `beyond` reach must be all that is left to ask.
+    Parameters
+    ----------
+    known : Hypotheses
+        Models that may explain the data.
+    judgement : Judgement
+        Judgement on them.
+    beyond : sequence of Question
+        Hopeless questions.
+
+    Returns
+    -------
+    tuple of (str, str)
+        Empty while any other question is open.
     """
     if judgement.left or judgement.pending or not judgement.named:
         return ()

@@ -1,1 +1,1 @@
-"""Learning a term where no effect of the library has a name for what is missing."""
+"""Learned terms, for structure in the residual that no effect of the library explains."""

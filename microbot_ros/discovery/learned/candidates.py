@@ -1,4 +1,4 @@
-"""What a term may be drawn against, in which frame and on what it acts: its knots in the data."""
+"""Candidate terms: covariate, frame, acted-on quantity, and knots where data are."""
 
 from __future__ import annotations
 
@@ -28,35 +28,65 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 FINEST = 0.4
-"""Seconds between knots in time, at least: what is faster has no room in a table."""
+"""Smallest distance of knots in time [s].
+
+Choice: a table of a usual recording then has at most MOST knots; faster changes are not resolved.
+"""
 
 MOST = 120
-"""Knots of one axis, at most."""
+"""Maximum number of knots on one axis.
+
+Choice: time and memory grow with its square.
+"""
 
 LEVELS = 12
-"""Different values of a field's strength or frequency up to which each has its own knot."""
+"""Number of distinct field strengths or frequencies up to which each has its own knot.
+
+Choice: step protocols have fewer; a sweep gets evenly spaced knots.
+"""
 
 CELLS = 12
-"""Knots along the longer side of where the particles were."""
+"""Knots along the longer side of the area that the particles covered.
+
+Choice: up to 225 knots of place; a finer grid has few data per cell and costs time.
+"""
 
 TURN = 24
-"""Knots around a turn."""
+"""Knots around a full turn: 15° apart. Choice: the finest kernel (`curve.TURNS`) is wider."""
 
 FADES = 0.1
-"""Part of a range beyond its ends over which a term fades to nothing."""
+"""Fraction of a range beyond its ends over which a term fades to zero.
+
+Choice: prediction slightly outside the data is smooth, and none is made far outside.
+"""
 
 _PLAIN: tuple[Against, ...] = (
     'position', 'time', 'time since switch', 'command angle', 'heading', 'field strength',
     'frequency')
+"""Covariates of one particle."""
+
 _HEADING: tuple[ActsOn, ...] = ('speed', 'heading')
+"""What a term in the frame of the heading acts on."""
+
 _RADIAL: tuple[ActsOn, ...] = ('velocity', 'speed')
+"""What a term in the frame of neighbours acts on."""
 
 
 def candidates(fit: ModelFit) -> list[LearnedTerm]:
-    """Every pair of covariate and frame that the sessions of a `fit` can show, as empty tables.
+    """Return an empty table for each covariate and frame that the sessions can show.
 
-    Without a covariate that never changes, and in the laboratory without particles where there is
-    but one: that is a drift.
+    Covariates that do not vary are left out. With one particle, a velocity per particle in the
+    laboratory is left out too: it would be a drift.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit whose residuals are searched.
+
+    Returns
+    -------
+    list of LearnedTerm
+        Tables of zeros; `seen` marks knots with data.
     """
     pairs: list[tuple[Against, Frame, ActsOn]] = [
         (against, 'laboratory', 'velocity') for against in (*_PLAIN, 'particle')]
@@ -78,10 +108,10 @@ def _empty(against: Against, frame: Frame, acts_on: ActsOn, axes: tuple[np.ndarr
     return replace(term, seen=held > 0.5)
 
 
-# What was looked at -----------------------------------------------------------------------------
+# Covariates of the data -------------------------------------------------------------------------
 
 def _values(fit: ModelFit, against: Against) -> np.ndarray:
-    """All values (M,) of a covariate in the used frames of a `fit`; M may be 0."""
+    """Return all values (M,) of a covariate in the used frames of a `fit`; M may be 0."""
     found = []
     for p in fit.session_fits:
         if against in ('neighbour distance', 'particle') and len(p.session.ids) < 2:
@@ -103,7 +133,20 @@ def _values(fit: ModelFit, against: Against) -> np.ndarray:
 
 
 def probed(model: Model, against: Against) -> Model:
-    """A `model` that looks at a covariate, `against` which a term may be drawn, idly."""
+    """Add a term of zeros to a model, so that the covariate of the term is computed.
+
+    Parameters
+    ----------
+    model : Model
+        Any model.
+    against : Against
+        The covariate.
+
+    Returns
+    -------
+    Model
+        Model of the same predictions.
+    """
     axis = np.array([0.0, 1.0])
     axes = (axis, axis) if against == 'position' else (axis,)
     nothing = np.zeros((4 if against == 'position' else 2, 1))
@@ -114,14 +157,31 @@ def probed(model: Model, against: Against) -> Model:
 
 def spans(model: Model, against: Against,
           p: SessionFit) -> tuple[Segments, Course, EffectContext]:
-    """The spans of `p`, a session, under a `model` that looks at the covariate `against` which a
-    term is drawn: with course and context.
+    """Integrate the headings of a session with the covariate of a term.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the session.
+    against : Against
+        The covariate.
+    p : SessionFit
+        Fit of the session.
+
+    Returns
+    -------
+    segments : Segments
+        Intervals between frames, split where commands change.
+    course : Course
+        Path and heading in each segment.
+    context : EffectContext
+        What effects and terms depend on, in each segment.
     """
     return integrate_heading(probed(model, against), p.session.timeline)
 
 
 def _axes(against: Against, values: np.ndarray) -> tuple[np.ndarray, ...] | None:
-    """Knots over the `values` and a little beyond; None where they don't vary enough."""
+    """Return knots over the `values` and a little beyond; None where they hardly vary."""
     if against == 'position':
         return _grid(values)
     if against in PERIODIC:
@@ -148,7 +208,7 @@ def _axes(against: Against, values: np.ndarray) -> tuple[np.ndarray, ...] | None
 
 
 def _grid(z: np.ndarray) -> tuple[np.ndarray, ...] | None:
-    """Square cells over where particles were, and one around."""
+    """Return knots of square cells over the area that particles covered, and one around it."""
     low, high = (np.array([f(z.real), f(z.imag)]) for f in (np.min, np.max))
     cell = float((high - low).max()) / (CELLS - 1)
     if not cell > 0:
@@ -159,13 +219,27 @@ def _grid(z: np.ndarray) -> tuple[np.ndarray, ...] | None:
                  for m, n in zip(middle, count, strict=True))
 
 
-# What each knot does ----------------------------------------------------------------------------
+# Displacement by knots --------------------------------------------------------------------------
 
 def steps(fit: ModelFit, p: SessionFit, term: LearnedTerm) -> Iterator[csr_array]:
-    """What the value of every knot moves one track of a session in each frame interval [m].
+    """Return the displacement by a unit value of each knot, in each frame interval.
 
-    (T − 1, K·C) complex each, knots of the first component first: of most knots nothing. Of `p`,
-    a session of a `fit`, at its v and φ.
+    Computed at v and φ of the fit. Most knots displace nothing in an interval, so arrays are
+    sparse.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit whose model the term joins.
+    p : SessionFit
+        One session of the fit.
+    term : LearnedTerm
+        Table with K knots and C components.
+
+    Yields
+    ------
+    csr_array of complex, shape (T − 1, K·C)
+        Displacements [m] of one track per unit value; knots of the first component come first.
     """
     from scipy.sparse import csr_array
 
@@ -189,6 +263,16 @@ def steps(fit: ModelFit, p: SessionFit, term: LearnedTerm) -> Iterator[csr_array
 
 
 def accumulated(moved: csr_array) -> np.ndarray:
-    """Displacements (T, M) [m] since the first frame by what is `moved` (T − 1, M) from then on.
+    """Return the cumulative displacement since the first frame.
+
+    Parameters
+    ----------
+    moved : csr_array of complex, shape (T − 1, M)
+        Displacements in each frame interval [m].
+
+    Returns
+    -------
+    ndarray of complex, shape (T, M)
+        Displacements since the first frame [m].
     """
     return np.concatenate([np.zeros((1, moved.shape[1]), complex), moved.toarray().cumsum(axis=0)])

@@ -1,9 +1,10 @@
-"""A curve by Gaussian processes of reduced rank, inside the whitened likelihood.
+"""Curves as Gaussian processes of reduced rank, inside the whitened likelihood.
 
-A prior on the values at the knots, w ~ N(0, a·C), is cut to the leading eigenvectors of C
-(a Karhunen–Loève expansion; Solin and Särkkä 2020 for why that costs nothing), so that
-evidence and posterior follow from G and b (`moments`) in closed form (Rasmussen and Williams 2006,
-ch. 2 and 5). Length scales, strengths and kinds of kernel are averaged over, not chosen.
+The prior on the values at the knots, w ~ N(0, a·C), is truncated to the leading eigenvectors of C
+(a Karhunen–Loève expansion; Solin and Särkkä 2020 show that this loses nothing). Marginal
+likelihood and posterior then follow from G and b (`moments`) in closed form (Rasmussen and
+Williams 2006, ch. 2 and 5). Length scales, strengths and kinds of kernel are averaged over, not
+selected.
 """
 
 from __future__ import annotations
@@ -18,26 +19,45 @@ from microbot_ros.discovery.learned.moments import Moments
 from microbot_ros.model.learned_term import PERIODIC, Against, LearnedTerm
 
 KEPT = 1e-4
-"""Eigenvalue of a kernel, relative to the largest, from which on nothing is kept."""
+"""Relative eigenvalue of a kernel below which eigenvectors are dropped.
+
+Choice: they carry 1 % of an amplitude at most; a smaller value costs time.
+"""
 
 STRENGTHS = 10.0 ** np.arange(0.0, 5.1, 0.5)
-"""Evidence λ that a prior expects, averaged over."""
+"""Expected evidence λ of the priors that are averaged over.
+
+Choice: from not detectable to far above; half a decade apart the evidence varies little.
+"""
 
 LENGTHS = (0.08, 0.16, 0.32, 0.64)
-"""Length scales, in parts of the covariate's range."""
+"""Length scales, as fractions of the covariate's range.
+
+Choice: from a few knots to most of the range, each twice the one before.
+"""
 
 WAYS = np.arange(8) * np.pi / 8
-"""Directions [rad] of flows that go along one line only."""
+"""Directions [rad] of flows along one line. Choice: 22.5° apart, cos 11° = 0.98 at worst."""
 
 TURNS = (0.35, 0.7, 1.4)
-"""Length scales of angles, as in exp(−2 sin²(Δ/2)/ℓ²)."""
+"""Length scales ℓ of periodic kernels exp(−2 sin²(Δ/2)/ℓ²).
+
+Choice: from a twentieth of a turn to the first harmonic, each twice the one before.
+"""
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """One prior shape of a table: `basis` (K·C, R), orthogonal columns; its `kind`, for people.
+    """One prior shape of a table.
 
-    `share` of the prior that all kernels divide among them.
+    Attributes
+    ----------
+    kind : str
+        Kind of kernel, for people.
+    basis : ndarray, shape (K·C, R)
+        Scaled eigenvectors of the prior covariance, as orthogonal columns.
+    share : float
+        Prior probability of the kernel.
     """
 
     kind: str
@@ -48,7 +68,18 @@ class Kernel:
 def kernels(term: LearnedTerm) -> list[Kernel]:
     """Return all kernels that are tried for a table.
 
-    Lengths are parts of the covariate's range, so that tables of one form have the same kernels.
+    Lengths are fractions of the covariate's range, so tables of the same form have the same
+    kernels.
+
+    Parameters
+    ----------
+    term : LearnedTerm
+        Table with K knots and C components.
+
+    Returns
+    -------
+    list of Kernel
+        Their `share` adds up to 1.
     """
     in_laboratory = term.frame == 'laboratory' and term.acts_on == 'velocity'
     axes = (_logarithmic(term.axes[0]),) if term.against == 'neighbour distance' else term.axes
@@ -66,7 +97,7 @@ def _logarithmic(distance: np.ndarray) -> np.ndarray:
 @lru_cache(64)
 def _kernels_of(against: Against, components: int, in_laboratory: bool,
                 axes: tuple[tuple[float, ...], ...]) -> list[Kernel]:
-    """Return the kernels of a table against a covariate, of `components`, over knots on `axes`."""
+    """Return the kernels of a table against a covariate, with knots on `axes`."""
     found = list(_kernels(against, components, in_laboratory, tuple(map(np.array, axes))))
     total = sum(one.share for one in found)
     return [Kernel(one.kind, one.basis, one.share / total) for one in found]
@@ -105,7 +136,7 @@ def _kernels(against: Against, components: int, in_laboratory: bool,
 
 
 def _swing(frequency: float, x: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """What `_spread` makes of cos 2πf(x − x') for one component, whose rank is two."""
+    """Return what `_spread` makes of cos 2πf(x − x') for one component; its rank is two."""
     phase = 2 * np.pi * frequency * x
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=1) * free[:, None]
     vectors, sizes, _ = np.linalg.svd(waves, full_matrices=False)
@@ -115,7 +146,7 @@ def _swing(frequency: float, x: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 def _parallel(length: float, x: np.ndarray, y: np.ndarray, free: np.ndarray) -> Iterator[Kernel]:
-    """Flows along one direction that vary across it only, as in channels, beside walls, in jets.
+    """Yield kernels of flows in one direction that vary across it only: channels, walls, jets.
 
     Over knots at `x`, `y` (K,), of which some are `free`, within a `length`.
     """
@@ -126,13 +157,12 @@ def _parallel(length: float, x: np.ndarray, y: np.ndarray, free: np.ndarray) -> 
 
 
 def _directed(way: float, one: np.ndarray) -> np.ndarray:
-    """Columns (K, R) of one component as those of two, (2 K, R), along the direction `way` [rad].
-    """
+    """Return columns (K, R) of a scalar as columns (2 K, R) of a vector along `way` [rad]."""
     return np.concatenate([np.cos(way) * one, np.sin(way) * one])
 
 
 def _free(against: Against, axes: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Which knots (K,) may be other than zero: not the ends, where a term has faded."""
+    """Return which knots (K,) may differ from zero: not the ends, where a term has faded."""
     if against in (*PERIODIC, 'particle'):
         return np.ones(len(axes[0]), bool)
     inner = [np.r_[False, np.ones(len(axis) - 2, bool), False] for axis in axes]
@@ -143,12 +173,12 @@ def _free(against: Against, axes: tuple[np.ndarray, ...]) -> np.ndarray:
 
 
 def _spread(covariance: np.ndarray, free: np.ndarray, components: int) -> np.ndarray:
-    """Leading eigenvectors of a `covariance` (K, K), scaled, for each of the components alike."""
+    """Return scaled leading eigenvectors of a `covariance` (K, K), equal for each component."""
     return np.kron(np.eye(components), _leading(covariance, free))
 
 
 def _leading(covariance: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Leading eigenvectors (K, R) of a `covariance` (K, K), scaled, zero at knots not `free`."""
+    """Return scaled leading eigenvectors (K, R) of a `covariance`, zero at knots not `free`."""
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)])
     kept = values > KEPT * values[-1]
     scaled = np.zeros((len(free), int(kept.sum())))
@@ -157,7 +187,7 @@ def _leading(covariance: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 def _of_place(axes: tuple[np.ndarray, ...], free: np.ndarray, components: int) -> Iterator[Kernel]:
-    """Fields of place: of any kind, and for velocities those without curl, or divergence."""
+    """Yield kernels of fields of place; for velocities also without curl or divergence."""
     x, y = (part.ravel() for part in np.meshgrid(*axes, indexing='ij'))
     dx, dy = x[:, None] - x[None, :], y[:, None] - y[None, :]
     for length in (0.2, 0.4, 0.8):
@@ -177,8 +207,11 @@ def _of_place(axes: tuple[np.ndarray, ...], free: np.ndarray, components: int) -
 
 @dataclass(frozen=True)
 class _Reduced:
-    """A kernel on the data: eigenvalues (R,) of its information, what the data say along each
-    eigenvector (R,), and those (K·C, R) as tables."""
+    """A kernel on the data.
+
+    Eigenvalues (R,) of its `information`, projections `found` (R,) of the data on the
+    eigenvectors, and these as `tables` (K·C, R).
+    """
 
     kernel: Kernel
     information: np.ndarray
@@ -194,12 +227,12 @@ class _Reduced:
 
     @cached_property
     def amplitudes(self) -> np.ndarray:
-        """The prior variance a for every one of STRENGTHS."""
+        """Prior variance a for each of STRENGTHS."""
         return STRENGTHS / max(float(self.information.sum()), 1e-300)
 
     @cached_property
     def log_evidence(self) -> np.ndarray:
-        """Log of the marginal likelihood over that of nothing, for every amplitude."""
+        """Log of the marginal likelihood over that of a zero table, for each amplitude."""
         a = self.amplitudes[:, None]
         return (-0.5 * np.log1p(a * self.information) + 0.5 * a * self.found**2 / (
             1 + a * self.information)).sum(axis=1)
@@ -207,28 +240,54 @@ class _Reduced:
 
 @dataclass(frozen=True)
 class Curve:
-    """The posterior of a table from G (K, K) and b (K,), averaged over kernels and strengths."""
+    """Posterior of a table, averaged over kernels and strengths."""
 
     reduced: tuple[_Reduced, ...]
 
     @classmethod
     def of(cls, tried: list[Kernel], gram: np.ndarray, projection: np.ndarray) -> Curve:
-        """With the kernels `tried`, from `gram` G and `projection` b."""
+        """Compute the posterior for several kernels.
+
+        Parameters
+        ----------
+        tried : list of Kernel
+            The kernels.
+        gram : ndarray, shape (K, K)
+            Information G on the values at the knots.
+        projection : ndarray, shape (K,)
+            Projection b of the data on the knots.
+
+        Returns
+        -------
+        Curve
+            The posterior.
+        """
         return cls(tuple(_Reduced.of(kernel, gram, projection) for kernel in tried))
 
     def given(self, projection: np.ndarray) -> Curve:
-        """The same kernels on other data of the same design, `projection` b (K,)."""
+        """Compute the posterior for other data of the same design.
+
+        Parameters
+        ----------
+        projection : ndarray, shape (K,)
+            Projection b of the data on the knots.
+
+        Returns
+        -------
+        Curve
+            The posterior, with the same kernels.
+        """
         return Curve(tuple(replace(one, found=one.tables.T @ projection) for one in self.reduced))
 
     @cached_property
     def log_weights(self) -> np.ndarray:
-        """Log of prior times evidence (kernels, strengths)."""
+        """Log of prior times marginal likelihood, by kernel and strength."""
         return np.stack([
             np.log(one.kernel.share / len(STRENGTHS)) + one.log_evidence for one in self.reduced])
 
     @cached_property
     def log_evidence(self) -> float:
-        """Log of the marginal likelihood of a table over that of none."""
+        """Log of the marginal likelihood of the table over that of a zero table."""
         return float(np.logaddexp.reduce(self.log_weights, axis=None))
 
     @cached_property
@@ -238,7 +297,7 @@ class Curve:
 
     @cached_property
     def mean(self) -> np.ndarray:
-        """Expected values at the knots (K,)."""
+        """Posterior mean at the knots (K,)."""
         total = np.zeros(len(self.reduced[0].tables))
         for one, weights in zip(self.reduced, self._weights, strict=True):
             for a, weight in zip(one.amplitudes, weights, strict=True):
@@ -247,7 +306,20 @@ class Curve:
         return total
 
     def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Tables (count, K) as likely as the data and the priors have them."""
+        """Draw tables from the posterior.
+
+        Parameters
+        ----------
+        count : int
+            Number of tables.
+        rng : numpy.random.Generator
+            Source of randomness.
+
+        Returns
+        -------
+        ndarray, shape (count, K)
+            The tables.
+        """
         weights = self._weights.ravel()
         picks = rng.choice(len(weights), size=count, p=weights / weights.sum())
         found = np.empty((count, len(self.reduced[0].tables)))
@@ -261,7 +333,7 @@ class Curve:
 
     @property
     def kind(self) -> str:
-        """The likeliest kind of kernel."""
+        """Kind of kernel of the largest posterior probability."""
         by_kind: dict[str, float] = {}
         for one, weights in zip(self.reduced, self._weights, strict=True):
             by_kind[one.kernel.kind] = by_kind.get(one.kernel.kind, 0.0) + float(weights.sum())
@@ -269,5 +341,16 @@ class Curve:
 
 
 def curve_of(moments: Moments) -> Curve:
-    """The curve of a candidate from all rows."""
+    """Return the curve of a candidate from all rows.
+
+    Parameters
+    ----------
+    moments : Moments
+        Moments of the candidate.
+
+    Returns
+    -------
+    Curve
+        The posterior, with all kernels of the table.
+    """
     return Curve.of(kernels(moments.term), *moments.total)

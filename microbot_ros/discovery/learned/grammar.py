@@ -1,7 +1,7 @@
-"""Formulas that a table may turn out to be: a small grammar, fitted through the moments.
+"""A small grammar of formulas that a table may follow, fitted through the moments.
 
-Formulas are linear in their coefficients, which follow in closed form; their shapes (times,
-places, frequencies) are searched. How well one does is measured on the raw increments, by G and b.
+Formulas are linear in their coefficients, which follow in closed form. Their shapes (times,
+places, frequencies) are searched. The fit is measured on the raw increments, by G and b.
 """
 
 from __future__ import annotations
@@ -17,17 +17,30 @@ from microbot_ros.common.units import from_si, suffix
 from microbot_ros.model.learned_term import AXES, PERIODIC, LearnedTerm
 
 TRIED = 3
-"""Starts of a shape that are worth a search."""
+"""Number of starting shapes that are refined. Choice: the grids of starts are dense."""
 
 Shape = tuple[float, ...]
+"""Shape parameters of a formula, SI."""
 
 
 @dataclass(frozen=True)
 class Formula:
-    """One `text` of the grammar: `basis(shape)` gives its columns (K·C, m) at the knots.
+    """One formula of the grammar.
 
-    `names` of the shape parameters with their units, the grid of `starts` and the bounds `low` and
-    `high`; names of the coefficients in `coefficients`.
+    Attributes
+    ----------
+    text : str
+        The formula, for people.
+    basis : callable
+        Returns the columns (K·C, m) at the knots for a shape.
+    coefficients : tuple of str
+        Names of the coefficients (m,), with unit.
+    names : tuple of str
+        Names of the shape parameters, with unit.
+    starts : tuple of Shape
+        Grid of starting shapes.
+    low, high : Shape
+        Bounds of the shape.
     """
 
     text: str
@@ -41,9 +54,22 @@ class Formula:
 
 @dataclass(frozen=True)
 class FittedFormula:
-    """A `formula` at its best: `shape`, its `weights` (m,), the `gain` in log likelihood.
+    """A formula at its maximum.
 
-    `rank` of its coefficients that the data can tell; `price` of each number, as log likelihood.
+    Attributes
+    ----------
+    formula : Formula
+        The formula.
+    shape : Shape
+        Best shape, SI.
+    weights : ndarray, shape (m,)
+        Best coefficients, SI.
+    gain : float
+        Gain in log likelihood.
+    rank : int
+        Number of coefficients that the data determine.
+    price : float
+        Cost of each number, in log likelihood.
     """
 
     formula: Formula
@@ -55,23 +81,23 @@ class FittedFormula:
 
     @property
     def values(self) -> np.ndarray:
-        """At the knots (K·C,)."""
+        """Values at the knots (K·C,)."""
         found: np.ndarray = self.formula.basis(self.shape) @ self.weights
         return found
 
     @property
     def size(self) -> int:
-        """Numbers that were fitted."""
+        """Number of fitted parameters."""
         return self.rank + len(self.shape)
 
     @property
     def paid(self) -> float:
-        """The gain less what its numbers cost."""
+        """Gain less the cost of its parameters."""
         return self.gain - self.price * self.size
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Every number by name, in the unit of the name."""
+        """All parameters by name, in the unit of the name."""
         shape = {name: float(from_si(name, x))
                  for name, x in zip(self.formula.names, self.shape, strict=True)}
         rest = {name: float(from_si(name, float(w)))
@@ -81,9 +107,23 @@ class FittedFormula:
 
 def fit(formula: Formula, gram: np.ndarray, projection: np.ndarray,
         begin: Shape | None = None) -> FittedFormula:
-    """A `formula` at the maximum of the likelihood that `gram` G and `projection` b make.
+    """Fit a formula to the moments of a table.
 
-    From its best starts, or from the shape `begin` alone.
+    Parameters
+    ----------
+    formula : Formula
+        The formula.
+    gram : ndarray, shape (K, K)
+        Information G on the values at the knots.
+    projection : ndarray, shape (K,)
+        Projection b of the data on the knots.
+    begin : Shape, optional
+        Starting shape; by default the best of the formula's starts.
+
+    Returns
+    -------
+    FittedFormula
+        The maximum of the likelihood.
     """
     from scipy.optimize import minimize
 
@@ -97,7 +137,7 @@ def fit(formula: Formula, gram: np.ndarray, projection: np.ndarray,
         formula.starts, key=lambda shape: -at(shape).gain)[:TRIED]
     best = max((at(shape) for shape in starts), key=lambda one: one.gain)
     for start in starts:
-        # A simplex finds its way over steps, where there is no slope.
+        # A simplex also crosses steps, where the gradient is zero.
         first = np.clip(start, low, high)
         simplex = np.vstack([first, *(
             np.where(np.arange(len(first)) == k, np.where(
@@ -131,7 +171,18 @@ def _solve(formula: Formula, shape: Shape, gram: np.ndarray,
 # The grammar ------------------------------------------------------------------------------------
 
 def grammar(term: LearnedTerm) -> list[Formula]:
-    """All formulas for a `term` of its covariate."""
+    """Return all formulas for the covariate of a term.
+
+    Parameters
+    ----------
+    term : LearnedTerm
+        The table.
+
+    Returns
+    -------
+    list of Formula
+        Empty for a value per particle.
+    """
     near = _near(term)
     if term.against == 'particle':
         return []
@@ -143,7 +194,7 @@ def grammar(term: LearnedTerm) -> list[Formula]:
 
 
 def _near(term: LearnedTerm) -> np.ndarray:
-    """Knots (K,) with data, or next to one: where a formula acts."""
+    """Return which knots (K,) have data or are next to one that has: there formulas act."""
     if len(term.axes) == 1:
         seen = term.seen
         return np.asarray(seen | np.roll(seen, 1) | np.roll(seen, -1)) & (
@@ -159,7 +210,7 @@ def _near(term: LearnedTerm) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Table:
-    """The knots of a `term`, the covariate at each, scaled to −1 … 1 over where data are."""
+    """Knots of a `term`: the covariate `x`, `y` (K,) at each, and which are `near` data."""
 
     term: LearnedTerm
     near: np.ndarray
@@ -173,32 +224,32 @@ class _Table:
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Middle of where data are, of each axis."""
+        """Middle of the range of the data, on each axis."""
         return tuple(float(axis[self.term.seen].min() + axis[self.term.seen].max()) / 2
                      for axis in (self.x, self.y))  # type: ignore[return-value]
 
     @property
     def half(self) -> float:
-        """Half of the larger extent of where data are."""
+        """Half of the larger range of the data."""
         return max(float(np.ptp(axis[self.term.seen])) / 2 for axis in (self.x, self.y)) or 1.0
 
     @property
     def unit(self) -> str:
-        """The suffix of the covariate's unit."""
+        """Suffix of the covariate's unit."""
         return suffix(AXES[self.term.against][0])
 
     def each(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """Factors (K,) as columns (K·C, m·C): each component has coefficients of its own."""
+        """Return factors (K,) as columns (K·C, m·C): each component has its own coefficients."""
         stacked = np.stack([np.broadcast_to(c, self.x.shape) for c in columns], axis=1)
         return np.kron(np.eye(self.term.values.shape[1]), stacked * self.near[:, None])
 
     def field(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """Complex velocities (K,) as columns (2K, m)."""
+        """Return complex velocities (K,) as columns (2K, m)."""
         stacked = np.stack(columns, axis=1) * self.near[:, None]
         return np.concatenate([stacked.real, stacked.imag])
 
     def named(self, count: int, *, field: bool = False) -> tuple[str, ...]:
-        """Names of the coefficients of that many columns."""
+        """Return names for the coefficients of `count` columns."""
         ending = {'velocity': '_um_s', 'speed': '', 'heading': '_rad'}[self.term.acts_on]
         if field or self.term.values.shape[1] == 1:
             return tuple(f'c{k}{ending}' for k in range(count))
@@ -209,12 +260,12 @@ class _Table:
 
 
 def _fixed(columns: np.ndarray) -> Callable[[Shape], np.ndarray]:
-    """A basis without a shape."""
+    """Return a basis without a shape."""
     return lambda _: columns
 
 
 def _of_line(t: _Table) -> Iterator[Formula]:
-    """Of a covariate on a line: `u` runs from −1 to 1 over where data are."""
+    """Yield formulas of a covariate on a line; `u` runs from −1 to 1 over the data."""
     (middle, _), half = t.middle, t.half
     u = (t.x - middle) / half
     low, span = middle - half, 2 * half
@@ -254,6 +305,7 @@ def _of_line(t: _Table) -> Iterator[Formula]:
 
 
 _RAISED = str.maketrans('-1234', '⁻¹²³⁴')
+"""Superscripts of exponents."""
 
 
 def _power(name: str, n: int) -> str:
@@ -265,19 +317,19 @@ def _spacing(t: _Table) -> float:
 
 
 def _risen(t: _Table, n: int, shape: Shape) -> np.ndarray:
-    """A constant and Hill's curve of the exponent `n`."""
+    """Return columns of a constant and a Hill curve of exponent `n`."""
     risen = np.maximum(t.x, 0.0) ** n
     return t.each([1.0 + 0 * t.x, risen / (risen + shape[0] ** n)])
 
 
 def _apart(t: _Table, shape: Shape) -> np.ndarray:
-    """From a place (shape[0], shape[1]) to every knot, complex."""
+    """Return the complex distance from a place (shape[0], shape[1]) to every knot."""
     return np.asarray((t.x - shape[0]) + 1j * (t.y - shape[1]))
 
 
 def _about(t: _Table, turn: complex, fall: Callable[[np.ndarray, float], np.ndarray],
            shape: Shape) -> np.ndarray:
-    """A velocity about a place, away from it where `turn` is 1, around it where i."""
+    """Return columns of a velocity away from a place (`turn` 1) or around it (`turn` i)."""
     w = _apart(t, shape)
     return t.field([turn * w * fall(np.abs(w), shape[2])])
 

@@ -1,4 +1,4 @@
-"""From what is left to a term: which covariate and frame, which curve, which formula, how sure."""
+"""Learning of a term from residuals: covariate and frame, curve, formula, and certainty."""
 
 from __future__ import annotations
 
@@ -16,40 +16,64 @@ from microbot_ros.estimation.likelihood.model_fit import ModelFit, evaluate, fit
 from microbot_ros.model.learned_term import LearnedTerm
 
 CONVINCING = float(np.log(1000))
-"""Log evidence that a term must have, once all that were looked at are paid for."""
+"""Log evidence that a term must have, after the cost of all candidates.
+
+Choice: odds of 1000 to 1, more than for a name (FALSE): a term has more freedom than an effect.
+"""
 
 HELD_OUT = float(np.log(20))
-"""Gain in log likelihood that a curve must bring to rows that it was not learned from; log n more
-for the n-th candidate that is tried."""
+"""Gain in log likelihood that a curve must bring to held-out rows, plus log n for the n-th
+candidate.
+
+Choice: odds of 20 to 1. It guards against structure in a part of the recording only."""
 
 POSSIBLE = 1e-3
-"""Odds of a pair of covariate and frame from which it is tried in a fold of rows: a choice."""
+"""Posterior probability of a covariate and frame above which it is tried again in a fold of rows.
+
+Choice: a smaller value costs time, a larger one may leave out the pair that the fold favours.
+"""
 
 Pair = tuple[str, str, str]
-"""Covariate, frame and what a term acts on."""
+"""Covariate, frame and acted-on quantity of a term."""
 
 MOST = 3
-"""Terms that are learned, at most."""
+"""Maximum number of learned terms. Choice: more are hard to read; what is left is reported."""
 
 CHANCE = 0.05
-"""p in PASTIS' price k ln(n₀/p) for the k numbers of one of n₀ formulas."""
+"""Probability p in the PASTIS cost k ln(n₀/p) of k parameters of one of n₀ formulas: the usual 5
+%."""
 
 DECISIVE = 5.0
-"""Log evidence by which a curve rules a formula out (Kass and Raftery 1995: very strong)."""
+"""Log evidence by which a curve excludes a formula (Kass and Raftery 1995: very strong)."""
 
 MOST_SURE = 0.8
-"""Share of a formula, at most, in what may be true: the grammar is small."""
+"""Maximum probability of a formula among possible tables: the grammar is small.
+
+Choice: a larger value makes bands too narrow where no formula is right, a smaller one too wide.
+"""
 
 DRAWN = 120
-"""Tables from which a band is made."""
+"""Number of bootstrap tables per band. Choice: the 2.5 % quantile then rests on three tables."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A `term` that was learned beside a `fit`: `curve` from its `moments`, and its odds.
+    """A term learned beside a fit.
 
-    `odds` {(against, frame, acts on): share} of all candidates, the likeliest first;
-    `log_evidence` over nothing at all, all candidates paid for; `formula` where one does better.
+    Attributes
+    ----------
+    term : LearnedTerm
+        Table of the posterior mean, or of the formula.
+    moments : Moments
+        Moments of the data for the table.
+    curve : Curve
+        Posterior of the table.
+    formula : FittedFormula or None
+        Formula, if one predicts better than the curve.
+    log_evidence : float
+        Log Bayes factor against no term, less the cost of all candidates.
+    odds : dict of Pair to float
+        Posterior probability of all candidates, largest first.
     """
 
     term: LearnedTerm
@@ -61,7 +85,7 @@ class Finding:
 
     @property
     def gain(self) -> float:
-        """Log likelihood of the data with the term over that without, as far as rows tell."""
+        """Gain in log likelihood by the term."""
         gram, projection = self.moments.total
         values = self.curve.mean
         return float(projection @ values - 0.5 * values @ gram @ values)
@@ -69,10 +93,23 @@ class Finding:
 
 def learn_terms(fit: ModelFit, first: Finding | None,
                 report: Callable[[str], None] = lambda _: None) -> tuple[Finding, ...]:
-    """The terms that explain what a `fit` leaves, one after the other; none if nothing convinces.
+    """Learn the terms that explain the residual of a fit, one after the other.
 
-    `first` is the one of `learn_term`. Each is learned beside those before it, which are then
-    learned again beside each other. `report` is told what is being done.
+    Each term is learned beside the ones before it; all are then learned again beside each other.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit whose residual is explained.
+    first : Finding or None
+        Result of `learn_term` for this fit.
+    report : callable, optional
+        Receives one line of progress.
+
+    Returns
+    -------
+    tuple of Finding
+        With formulas and bands; empty if no term is convincing.
     """
     return tuple(map(finish, _curves(fit, first, report)))
 
@@ -80,7 +117,7 @@ def learn_terms(fit: ModelFit, first: Finding | None,
 def _curves(fit: ModelFit, first: Finding | None,
             report: Callable[[str], None] = lambda _: None,
             pairs: Collection[Pair] | None = None) -> list[Finding]:
-    """Return the terms of `learn_terms` as curves without a band."""
+    """Return the terms of `learn_terms` as curves without formula or band."""
     findings: list[Finding] = []
     found = first
     while found is not None and len(findings) < MOST:
@@ -93,7 +130,20 @@ def _curves(fit: ModelFit, first: Finding | None,
 
 
 def again_beside_each_other(fit: ModelFit, findings: Sequence[Finding]) -> list[Finding]:
-    """The `findings`, each learned again from what a `fit` with all others leaves."""
+    """Learn each of several terms again from the residual of a fit with all others.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit without the terms.
+    findings : sequence of Finding
+        The terms.
+
+    Returns
+    -------
+    list of Finding
+        With new moments, curves and tables, in the same order.
+    """
     learned = list(findings)
     for k in range(len(learned)):
         others = [one for i, one in enumerate(learned) if i != k]
@@ -104,7 +154,7 @@ def again_beside_each_other(fit: ModelFit, findings: Sequence[Finding]) -> list[
 
 
 def _moments_of(fit: ModelFit, table: LearnedTerm) -> tuple[Moments, Curve]:
-    """What the sessions of a `fit` say of a `table`, at the noise that is left with it."""
+    """Return moments and curve of a `table`, at the noise that remains beside it."""
     known = told(fit)
     first = Moments.of(known, table, _noise(known))
     known, noise = _beside(known, _filled(first, curve_of(first).mean))
@@ -113,7 +163,20 @@ def _moments_of(fit: ModelFit, table: LearnedTerm) -> tuple[Moments, Curve]:
 
 
 def with_terms(fit: ModelFit, findings: Sequence[Finding]) -> ModelFit:
-    """A `fit` with the terms of all `findings` in its model."""
+    """Add the terms of several findings to a fit.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit without the terms.
+    findings : sequence of Finding
+        The terms.
+
+    Returns
+    -------
+    ModelFit
+        Fit with v, φ and noise at their maximum.
+    """
     for found in findings:
         fit = with_term(fit, found.term)
     return fit
@@ -121,10 +184,21 @@ def with_terms(fit: ModelFit, findings: Sequence[Finding]) -> ModelFit:
 
 def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None,
                pairs: Collection[Pair] | None = None) -> Finding | None:
-    """The term that best explains what a `fit` leaves, as a curve; None where none convinces.
+    """Learn the term that best explains the residual of a fit, as a curve.
 
-    `report` is told what is being done. Of all `pairs` (covariate, frame, what it acts on), or of
-    some.
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit whose residual is explained.
+    report : callable, optional
+        Receives one line of progress.
+    pairs : collection of Pair, optional
+        Candidates; by default all.
+
+    Returns
+    -------
+    Finding or None
+        None if no candidate is convincing.
     """
     known = told(fit)
     tables = [(table, kernels(table)) for table in candidates(known)
@@ -138,14 +212,38 @@ def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None,
 
 
 def told(fit: ModelFit) -> ModelFit:
-    """A `fit` whose sessions know φ of their particles."""
+    """Fix φ of every particle in the sessions of a fit, for terms that depend on the heading.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Any fit.
+
+    Returns
+    -------
+    ModelFit
+        The fit, with φ in its sessions.
+    """
     return ModelFit(fit.model, tuple(
         replace(p, session=replace(p.session, phi=np.angle(p.velocity_phasor)))
         for p in fit.session_fits))
 
 
 def with_term(fit: ModelFit, term: LearnedTerm) -> ModelFit:
-    """A `fit` with a `term` in its model, v, φ and noise at their maximum again."""
+    """Add a term to a fit and maximise v, φ and noise again.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit without the term.
+    term : LearnedTerm
+        The term.
+
+    Returns
+    -------
+    ModelFit
+        Fit with the term.
+    """
     model = replace(fit.model, learned=(*fit.model.learned, term))
     known = told(fit)
     return fit_noise(evaluate(model, [p.session for p in known.session_fits],
@@ -153,10 +251,22 @@ def with_term(fit: ModelFit, term: LearnedTerm) -> ModelFit:
 
 
 def relearn(findings: Sequence[Finding], fit: ModelFit) -> ModelFit:
-    """Return a `fit` of other rows with the terms that these rows ask for.
+    """Learn terms again from other rows, and add them to a fit of these.
 
-    Among the pairs of covariate and frame that had odds of POSSIBLE or more for one of the
-    `findings`.
+    Candidates are the pairs of covariate and frame with a probability above POSSIBLE in one of the
+    findings.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        Terms learned from all rows.
+    fit : ModelFit
+        Fit of the other rows.
+
+    Returns
+    -------
+    ModelFit
+        Fit with the terms that these rows support.
     """
     pairs = {pair for found in findings for pair, odds in found.odds.items() if odds > POSSIBLE}
     learned = _curves(fit, learn_term(fit, pairs=pairs), pairs=pairs)
@@ -164,14 +274,14 @@ def relearn(findings: Sequence[Finding], fit: ModelFit) -> ModelFit:
 
 
 def _noise(fit: ModelFit) -> list[float]:
-    """D [m²/s] of every session."""
+    """Return D [m²/s] of every session."""
     return [p.diffusion for p in fit.session_fits]
 
 
 def _beside(fit: ModelFit, term: LearnedTerm) -> tuple[ModelFit, list[float]]:
-    """The model of a `fit` at the v and φ that a `term` leaves, and D with it, of every session.
+    """Return the model of a `fit` at the v and φ beside a `term`, and D of every session.
 
-    With what is missing in the noise, evidence would be too small, and its levels wrong.
+    Noise that contains missing structure would make the evidence too small, and its levels wrong.
     """
     better = with_term(fit, term)
     plain = evaluate(fit.model, [p.session for p in better.session_fits],
@@ -186,9 +296,9 @@ def _beside(fit: ModelFit, term: LearnedTerm) -> tuple[ModelFit, list[float]]:
 
 def _best(known: ModelFit, tables: Sequence[tuple[LearnedTerm, list[Kernel]]],
           noise: Sequence[float]) -> Finding | None:
-    """The candidate of the largest evidence that foretells rows it was not learned from.
+    """Return the candidate of the largest evidence that predicts held-out rows.
 
-    Of `tables` with the kernels to be tried on each.
+    `tables` are pairs of a table and the kernels to be tried on it.
     """
     found = []
     for table, tried in tables:
@@ -210,14 +320,36 @@ def _best(known: ModelFit, tables: Sequence[tuple[LearnedTerm, list[Kernel]]],
 
 
 def foretells(moments: Moments) -> float:
-    """Gain in log likelihood of every fold of rows by the curve of the others."""
+    """Return the gain in log likelihood of held-out rows by a curve.
+
+    Parameters
+    ----------
+    moments : Moments
+        Moments of the candidate.
+
+    Returns
+    -------
+    float
+        Sum over folds, each with the curve of the other folds.
+    """
     tried = kernels(moments.term)
     return sum(moments.held_out(fold, Curve.of(tried, *moments.without_fold(fold)).mean)
                for fold in range(FOLDS))
 
 
 def finish(found: Finding) -> Finding:
-    """With a formula, where one beats the curve on rows it was not fitted to, and the band."""
+    """Add a formula, if one predicts held-out rows better than the curve, and a band.
+
+    Parameters
+    ----------
+    found : Finding
+        A term as a curve.
+
+    Returns
+    -------
+    Finding
+        With `formula`, and 95 % band in `term.low` and `term.high`.
+    """
     found = with_formula(found)
     low, high = band(found, found.formula)
     count = found.term.values.shape[1]
@@ -226,7 +358,18 @@ def finish(found: Finding) -> Finding:
 
 
 def with_formula(found: Finding) -> Finding:
-    """Return a finding with a formula, where one beats the curve on rows it was not fitted to."""
+    """Add a formula to a finding, if one predicts held-out rows better than the curve.
+
+    Parameters
+    ----------
+    found : Finding
+        A term as a curve.
+
+    Returns
+    -------
+    Finding
+        With the table of the formula, or unchanged.
+    """
     formula = best_formula(found.moments)
     if formula is None or not (formula.paid > found.curve.log_evidence - DECISIVE
                                and _beats(found.moments, formula)):
@@ -237,7 +380,18 @@ def with_formula(found: Finding) -> Finding:
 
 
 def best_formula(moments: Moments) -> FittedFormula | None:
-    """The formula of the grammar that pays best for its size; None where none pays."""
+    """Return the formula with the largest gain after the cost of its parameters.
+
+    Parameters
+    ----------
+    moments : Moments
+        Moments of the candidate.
+
+    Returns
+    -------
+    FittedFormula or None
+        None if no formula gains more than it costs.
+    """
     gram, projection = moments.total
     rules = grammar(moments.term)
     price = float(np.log(max(len(rules), 1) / CHANCE))
@@ -247,9 +401,9 @@ def best_formula(moments: Moments) -> FittedFormula | None:
 
 
 def _beats(moments: Moments, formula: FittedFormula) -> bool:
-    """Whether a `formula` foretells rows it was not fitted to as well as the curve does.
+    """Return whether a `formula` predicts held-out rows as well as the curve.
 
-    Within one standard error, where the simpler is preferred (Breiman et al. 1984).
+    Within one standard error, where the simpler model is preferred (Breiman et al. 1984).
     """
     tried = kernels(moments.term)
     gain = variance = 0.0
@@ -263,11 +417,24 @@ def _beats(moments: Moments, formula: FittedFormula) -> bool:
 
 
 def band(found: Finding, formula: FittedFormula | None) -> tuple[np.ndarray, np.ndarray]:
-    """Ends (K·C,) each of the 95 % band at every knot, by a parametric bootstrap.
+    """Return the 95 % band of a table by a parametric bootstrap.
 
-    What may be true is drawn: curves, and tables of a `formula` as often as its evidence has it,
-    but never always. Data are simulated from each and gone through again, kernels, strengths and
-    numbers chosen anew; how far that comes out from what was drawn makes the band.
+    Possible tables are drawn from the posterior of the curve and, in proportion to its evidence
+    but never always, from the formula. Data are simulated from each table and analysed again, with
+    kernels, strengths and parameters selected anew. The deviations from the drawn tables make the
+    band.
+
+    Parameters
+    ----------
+    found : Finding
+        A learned term.
+    formula : FittedFormula or None
+        Its formula.
+
+    Returns
+    -------
+    low, high : ndarray, shape (K·C,)
+        Ends of the band at each knot.
     """
     rng = np.random.default_rng(0)
     gram = found.moments.total[0]
@@ -292,19 +459,32 @@ def band(found: Finding, formula: FittedFormula | None) -> tuple[np.ndarray, np.
 
 
 def centred(moments: Moments, tables: np.ndarray) -> np.ndarray:
-    """Tables (..., K·C) without what v and φ absorb: the mean of a factor, or of an angle."""
+    """Remove from tables what v and φ absorb: the mean of a factor or of an angle.
+
+    Parameters
+    ----------
+    moments : Moments
+        Moments of the table.
+    tables : ndarray, shape (..., K·C)
+        Values at the knots.
+
+    Returns
+    -------
+    ndarray, shape (..., K·C)
+        Of weighted mean 0; zeros stay zero. Velocities and radial terms are unchanged.
+    """
     term = moments.term
     if term.acts_on == 'velocity' or term.frame == 'radial':
         return tables
     weight = np.maximum(np.diagonal(moments.grams.sum(axis=(0, 1)))[3 + moments.count:], 0.0)
     mean = tables @ weight / weight.sum()
-    # Where a table does nothing, beyond what it is about, it goes on doing nothing.
+    # Zeros beyond the data stay zero.
     shown: np.ndarray = np.where(tables == 0, 0.0, tables - mean[..., None])
     return shown
 
 
 def _filled(moments: Moments, values: np.ndarray) -> LearnedTerm:
-    """The table with `values` (K·C,)."""
+    """Return the table with `values` (K·C,)."""
     term, count = moments.term, moments.term.values.shape[1]
     shown = centred(moments, values).reshape(count, -1).T
     return replace(term, values=shown, low=shown, high=shown)

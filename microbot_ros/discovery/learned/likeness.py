@@ -1,4 +1,4 @@
-"""What known physics a learned term looks like, in words: no cause, but where to look for one."""
+"""Known physics that a learned term resembles, in words: where to look for the cause."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ABOUT = {
     'c0 + c1 exp(−r²/2a²)': ('a bright or sticky spot', 'a bright or sticky spot'),
     'c0 + c1/(r² + a²)': ('a bright or sticky spot', 'a bright or sticky spot'),
 }
-"""Formula → what it looks like where its coefficient is positive, and negative."""
+"""Formula → what it resembles if its coefficient is positive, and if it is negative."""
 
 _ALONG = {
     '(c0 + c1 s + c2 s²) along, s across': 'a flow through a channel',
@@ -26,12 +26,14 @@ _ALONG = {
     'c0 + c1 H(s − a)': 'a border between two regions',
     'c0 + c1 exp(−s/a)': 'a layer at a wall',
 }
+"""Formula of a direction → what it resembles."""
 
 _KIND = {
     'along a line': 'a flow along one line, faster here than there',
     'without sources': 'a flow that neither rises nor sinks',
     'without circulation': 'a potential that attracts and repels',
 }
+"""Kind of kernel of a velocity by place → what it resembles."""
 
 _PLAIN = {
     ('time', 'velocity'): 'a flow that changes in time',
@@ -47,10 +49,22 @@ _PLAIN = {
     ('neighbour distance', 'speed'): 'fuel that neighbours share',
     ('particle', 'velocity'): 'particles that drift each their own way',
 }
+"""Covariate and acted-on quantity → what the term resembles."""
 
 
 def looks_like(found: Finding) -> str:
-    """A phrase for people; '' where nothing comes to mind."""
+    """Return what known physics a term resembles.
+
+    Parameters
+    ----------
+    found : Finding
+        A learned term.
+
+    Returns
+    -------
+    str
+        A phrase; '' if it resembles nothing known.
+    """
     formula, term = found.formula, found.term
     text = formula.formula.text if formula else ''
     if formula and text in _ABOUT:
@@ -90,8 +104,22 @@ _CONFIRM = {
     'neighbour distance': 'bring two particles together and apart again, far from the others',
     'particle': 'exchange the places of the particles and record again',
 }
+"""Covariate → experiment that would confirm or refute a term."""
 
 
 def confirmation(found: Finding, minutes: float) -> NextExperiment:
-    """The recording, of as many `minutes`, that would confirm a term, or speak against it."""
+    """Return the recording that would confirm or refute a term.
+
+    Parameters
+    ----------
+    found : Finding
+        A learned term.
+    minutes : float
+        Duration of the recording [min].
+
+    Returns
+    -------
+    NextExperiment
+        The recording in words.
+    """
     return NextExperiment(f'to confirm what was learned, {_CONFIRM[found.term.against]}', minutes)

@@ -1,7 +1,7 @@
-"""All that the data say of a table: inner products with what the value of every knot displaces.
+"""Sufficient statistics of a table: inner products with the displacement by each knot.
 
-White increments are independent, so their inner products, summed over rows, are sufficient: curves
-and formulas are then a matter of matrices as large as a table, however long the recording.
+Whitened increments are independent, so their inner products, summed over rows, are sufficient.
+Curves and formulas then need matrices of the size of a table, however long the recording.
 """
 
 from __future__ import annotations
@@ -22,16 +22,29 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 FOLDS = 5
+"""Number of folds of rows in cross-validation. Choice: the usual five."""
+
 SHORTEST = 2.0
-"""Seconds of one block of rows; every fifth block belongs to one fold."""
+"""Shortest block of rows [s]; every fifth block belongs to one fold.
+
+Choice: longer than usual memories of heading and noise, so that folds are nearly independent; a
+longer block leaves too few in short recordings.
+"""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Of one candidate `term` on a fit: `grams` (F, tracks, M, M) by fold of rows.
+    """Inner products of one candidate term with a fit.
 
-    Columns are the data, v and φ, P parameters of effects, and the knots, in units of the noise;
-    `count` is P.
+    Attributes
+    ----------
+    term : LearnedTerm
+        The table.
+    grams : ndarray, shape (F, tracks, M, M)
+        Inner products by fold of rows, in units of the noise. The M columns are the data, v, φ,
+        the P parameters of effects, and the knots.
+    count : int
+        P.
     """
 
     term: LearnedTerm
@@ -40,7 +53,22 @@ class Moments:
 
     @classmethod
     def of(cls, fit: ModelFit, term: LearnedTerm, noise: Sequence[float]) -> Moments:
-        """Of a `term` beside a `fit`, at a diffusion `noise` [m²/s] for each session."""
+        """Compute the moments of a term beside a fit.
+
+        Parameters
+        ----------
+        fit : ModelFit
+            Fit whose residual is explained.
+        term : LearnedTerm
+            The table.
+        noise : sequence of float
+            D of each session [m²/s].
+
+        Returns
+        -------
+        Moments
+            For all sessions.
+        """
         folds = []
         for p, jacobian, diffusion in zip(fit.session_fits, fit.jacobian, noise, strict=True):
             scale = np.sqrt(diffusion)
@@ -53,11 +81,24 @@ class Moments:
 
     @cached_property
     def total(self) -> tuple[np.ndarray, np.ndarray]:
-        """G (K, K) and b (K,) of all knots, with v, φ and the parameters of effects taken out."""
+        """G (K, K) and b (K,) of all knots, with v, φ and the parameters of effects eliminated."""
         return self._reduced(range(FOLDS))
 
     def without_fold(self, fold: int) -> tuple[np.ndarray, np.ndarray]:
-        """The same without the rows of one `fold`."""
+        """Return G and b without the rows of one fold.
+
+        Parameters
+        ----------
+        fold : int
+            The fold that is left out.
+
+        Returns
+        -------
+        gram : ndarray, shape (K, K)
+            Information G.
+        projection : ndarray, shape (K,)
+            Projection b.
+        """
         return self._reduced([k for k in range(FOLDS) if k != fold])
 
     def _reduced(self, folds: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -66,9 +107,21 @@ class Moments:
         return left[1:, 1:], left[1:, 0]
 
     def held_out(self, fold: int, values: np.ndarray) -> float:
-        """Gain in log likelihood of the rows of a `fold` by table `values` (K,) learned elsewhere.
+        """Return the gain in log likelihood of the rows of a fold by a table.
 
-        Over none at all; v, φ and effects are learned from the other rows, under each.
+        v, φ and effects are estimated from the other rows, with and without the table.
+
+        Parameters
+        ----------
+        fold : int
+            The held-out fold.
+        values : ndarray, shape (K,)
+            Table learned from the other folds.
+
+        Returns
+        -------
+        float
+            Gain over a zero table.
         """
         gains = []
         for table in (values, np.zeros_like(values)):
@@ -79,16 +132,28 @@ class Moments:
         return gains[0] - gains[1]
 
     def apart(self, fold: int, one: np.ndarray, other: np.ndarray) -> float:
-        """How far two tables (K,) are from each other in the rows of a `fold`, squared.
+        """Return the squared distance of two tables in the rows of a fold, in units of the noise.
 
-        In units of the noise: the variance of the difference of their log likelihoods.
+        It is the variance of the difference of their log likelihoods.
+
+        Parameters
+        ----------
+        fold : int
+            The fold.
+        one, other : ndarray, shape (K,)
+            The tables.
+
+        Returns
+        -------
+        float
+            Squared distance.
         """
         gram = self.grams[[k for k in range(FOLDS) if k != fold]].sum(axis=0)
         known = self._solved(gram, one) - self._solved(gram, other)
         return float(np.einsum('ni,nij,nj->', known, self.grams[fold], known))
 
     def _solved(self, gram: np.ndarray, table: np.ndarray) -> np.ndarray:
-        """Weights (tracks, M) of the columns whose sum is what is left."""
+        """Return the weights (tracks, M) of the columns whose sum is the residual."""
         first = 3 + self.count
         weights = np.zeros(gram.shape[:2])
         weights[:, 0], weights[:, first:] = 1.0, -table
@@ -107,10 +172,10 @@ class Moments:
 
 def _products(p: SessionFit, n: int, known: np.ndarray, moved: csr_array,
               fold: np.ndarray) -> np.ndarray:
-    """Inner products (F, M, M) by `fold` of the rows of the n-th track of a session.
+    """Return inner products (F, M, M) by fold of the rows of the n-th track of a session.
 
-    Of what is `known`, white, and of what is `moved` (T − 1, K), whitened. Where noise is plain
-    this takes the time of the few knots that are felt at a time.
+    `known` is whitened already; `moved` (T − 1, K) is whitened here. With plain noise this takes
+    time in proportion to the few knots that act at one time.
     """
     if p.whitening.is_plain:
         from microbot_ros.estimation.likelihood.kernels import knot_products
@@ -124,7 +189,22 @@ def _products(p: SessionFit, n: int, known: np.ndarray, moved: csr_array,
 
 
 def whiten_track(p: SessionFit, n: int, moved: np.ndarray) -> np.ndarray:
-    """Displacements `moved` (T, M) [m] of the n-th track of a session, whitened but for D."""
+    """Whiten displacements of one track of a session.
+
+    Parameters
+    ----------
+    p : SessionFit
+        Fit of the session.
+    n : int
+        Index of the track.
+    moved : ndarray of complex, shape (T, M)
+        Displacements [m].
+
+    Returns
+    -------
+    ndarray of complex, shape (T − 1, M)
+        Whitened increments, except for the factor 1/√D.
+    """
     session, one = p.session, slice(n, n + 1)
     alone = replace(session, ids=session.ids[one], z=session.z[:, one],
                     pieces=np.ascontiguousarray(session.pieces[:, one]),
@@ -141,7 +221,7 @@ def whiten_track(p: SessionFit, n: int, moved: np.ndarray) -> np.ndarray:
 
 
 def _folds(times: np.ndarray) -> np.ndarray:
-    """The fold (T,) of every frame: blocks that take turns."""
+    """Return the fold (T,) of every frame, from interleaved blocks."""
     duration = float(np.ptp(times))
     length = max(SHORTEST, duration / 40)
     if duration < 2 * FOLDS * length:

@@ -1,1 +1,1 @@
-"""The report for people: `report.html` and its pictures."""
+"""The report: `report.html` and its figures."""

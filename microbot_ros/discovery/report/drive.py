@@ -1,4 +1,4 @@
-"""How far rollers get with each turn of the field, by its frequency: measured, and as modelled."""
+"""Advance of rollers per turn of the field by frequency, as measured and as modelled."""
 
 from __future__ import annotations
 
@@ -10,14 +10,21 @@ from matplotlib.figure import Figure
 from microbot_ros.discovery.report.residual import Residual
 
 BINS = 14
+"""Maximum number of frequency bins. Choice: points stay apart in a figure of 7.5 inches."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Gains [m/s/Hz], means over the particles, at B frequencies [Hz], ascending; each (B,).
+    """Gains at B frequencies, means over the particles.
 
-    `measured` ± `measured_std` at each `frequency`, as the model `found` and the `plain`
-    first-order one expect it.
+    Attributes
+    ----------
+    frequency : ndarray, shape (B,)
+        Frequencies [Hz], ascending.
+    measured, measured_std : ndarray, shape (B,)
+        Measured gain and standard deviation [m/s/Hz].
+    found, plain : ndarray, shape (B,)
+        Gain expected by the final and the first-order model [m/s/Hz].
     """
 
     frequency: np.ndarray
@@ -28,12 +35,24 @@ class Drive:
 
 
 def drive(left: Residual, phi: np.ndarray, diffusion: float) -> Drive | None:
-    """Return the gains of particles by frequency; None for fewer than 3 frequencies.
+    """Return the gains of particles by frequency.
 
-    `left` is what models leave of their session; `phi` (N,) [rad]; `diffusion` D [m²/s].
-
-    Displacements along where a particle heads, regressed on the unit path: those measured, and
+    Displacements along the heading are regressed on the path of unit speed: those measured, and
     those that the models expect.
+
+    Parameters
+    ----------
+    left : Residual
+        Residuals of the session.
+    phi : ndarray, shape (N,)
+        Angle of travel from the field [rad].
+    diffusion : float
+        D [m²/s].
+
+    Returns
+    -------
+    Drive or None
+        None for fewer than 3 frequencies.
     """
     frequency = np.abs(left.commands.frequency_at(left.times[:-1]))
     levels = np.unique(np.round(frequency[frequency > 0], 6))
@@ -56,7 +75,7 @@ def drive(left: Residual, phi: np.ndarray, diffusion: float) -> Drive | None:
     spread = 2 * diffusion * np.broadcast_to(np.diff(left.times)[:, None], use.shape)[use]
     std = np.sqrt(np.bincount(which, np.abs(unit) ** 2 * spread)) / np.maximum(power, 1e-300)
     middles = np.bincount(which, np.broadcast_to(frequency[:, None], use.shape)[use])
-    # Where hardly anything was recorded, nothing is known.
+    # Bins with few data are left out.
     known = (power > 0) & (std < np.abs(by_plain))
     return Drive(*(column[known] for column in (
         middles / np.maximum(np.bincount(which), 1), measured_gain, std, by_found, by_plain)))
@@ -68,7 +87,20 @@ def _steps(positions: np.ndarray, use: np.ndarray) -> np.ndarray:
 
 
 def draw_drive(found: Drive, before: str, after: str) -> Figure:
-    """Gain by frequency as `found`, the models in the colours `before` and `after`."""
+    """Draw the gain by frequency.
+
+    Parameters
+    ----------
+    found : Drive
+        Measured and expected gains.
+    before, after : str
+        Colours of the first-order and the final model.
+
+    Returns
+    -------
+    Figure
+        With 95 % error bars.
+    """
     figure = Figure(figsize=(7.5, 3.2), layout='constrained')
     axis = figure.subplots()
     axis.errorbar(found.frequency, found.measured * 1e6, 1.96 * found.measured_std * 1e6,

@@ -1,4 +1,4 @@
-"""The pictures of the report: gap, maps, places, tracks inside the predicted band."""
+"""Figures of the report: gap, residual maps, field of place, and tracks in the predicted band."""
 
 from __future__ import annotations
 
@@ -18,17 +18,39 @@ from microbot_ros.discovery.report.residual import Residual, by_place
 from microbot_ros.discovery.report.words import chance, number
 from microbot_ros.discovery.result import Gap, ResidualMap
 
-# Okabe and Ito's colours, told apart by colour-blind readers; markers and lines say the same.
 BEFORE, AFTER, FLOOR = '#D55E00', '#0072B2', '#999999'
+"""First-order model, final model and noise floor, in Okabe and Ito's colours.
+
+Colour-blind readers can distinguish them; markers and line styles say the same.
+"""
+
 COMPONENTS: tuple[dict[str, Any], ...] = (
     {'marker': 'o', 'ls': '-'}, {'marker': 's', 'ls': '--'})
+"""Styles of the first and second component of a residual."""
+
 COLUMNS = 4
+"""Panels in a row of residual maps: the width of a page."""
+
 MOST_PARTICLES = 4
+"""Particles drawn with their band. Choice: each takes a row of the page."""
+
 MOST_POINTS = 500
+"""Points of a curve. Choice: about one for each pixel of a panel."""
 
 
 def embedded(figure: Figure) -> str:
-    """A figure as an address that a page can hold in itself: SVG, the same on every run."""
+    """Return a figure as a data URI: SVG, the same on every run.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+
+    Returns
+    -------
+    str
+        `data:image/svg+xml;base64,…`.
+    """
     stream = io.BytesIO()
     with mpl.rc_context({'svg.hashsalt': 'microbot_ros'}):
         figure.savefig(stream, format='svg', metadata={'Date': None})
@@ -36,7 +58,18 @@ def embedded(figure: Figure) -> str:
 
 
 def draw_gap(gap: Gap) -> Figure:
-    """The `gap` in prediction beyond the noise, before and after, beside the noise itself."""
+    """Draw the prediction errors before and after, beside the noise floor.
+
+    Parameters
+    ----------
+    gap : Gap
+        Errors on held-out data.
+
+    Returns
+    -------
+    Figure
+        Bars in µm.
+    """
     figure = Figure(figsize=(7.5, 1.9), layout='constrained')
     axis = figure.subplots()
     bars = {'before': gap.before, 'after': gap.after, 'noise floor': gap.floor}
@@ -59,7 +92,18 @@ def draw_gap(gap: Gap) -> Figure:
 
 
 def draw_maps(before: Sequence[ResidualMap], after: Sequence[ResidualMap]) -> Figure | None:
-    """What is left against each covariate `before` and `after`, one panel each; None for none."""
+    """Draw the residual against each covariate, one panel each.
+
+    Parameters
+    ----------
+    before, after : sequence of ResidualMap
+        Maps of the first-order and the final model.
+
+    Returns
+    -------
+    Figure or None
+        None if no map has a curve.
+    """
     later = {m.against: m for m in after}
     drawn = [m for m in before if any(len(mean) > 1 for mean, _ in m.curves.values())]
     if not drawn:
@@ -78,7 +122,7 @@ def draw_maps(before: Sequence[ResidualMap], after: Sequence[ResidualMap]) -> Fi
 
 
 def _map(axis: Axes, before: ResidualMap, after: ResidualMap) -> None:
-    """The first component is filled and solid, the second open and dashed."""
+    """Draw one panel: the first component filled and solid, the second open and dashed."""
     axis.axhline(0, color='#bbbbbb', lw=0.8)
     for found, colour in ((before, BEFORE), (after, AFTER)):
         for style, (name, (mean, error)) in zip(COMPONENTS, found.curves.items(), strict=False):
@@ -104,22 +148,32 @@ def _map(axis: Axes, before: ResidualMap, after: ResidualMap) -> None:
 
 
 def _peaks(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A curve in no more points than a picture can show, with its peaks."""
+    """Return a curve reduced to as many points as a figure shows, with its peaks."""
     group = -(-len(x) // MOST_POINTS)
     starts = np.arange(0, len(x), group)
     return x[starts], np.maximum.reduceat(y, starts)
 
 
 def _p(found: ResidualMap) -> str:
-    """A p-value short enough for a title."""
+    """Return a p-value short enough for a title."""
     return (f'{found.p_value:.2f}' if found.p_value >= 0.01
             else chance(found.p_value).removeprefix('p ').removeprefix('= '))
 
 
 def draw_bands(prediction: Prediction) -> Figure:
-    """Measured less predicted, both coordinates, of the first particles of a `prediction`.
+    """Draw measured less predicted coordinates of the first particles.
 
-    Scaled to what is usual: single excursions leave the picture.
+    The scale fits usual deviations: single excursions leave the figure.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        Predictions of one session.
+
+    Returns
+    -------
+    Figure
+        Both coordinates, with the predicted 90 % band.
     """
     shown = prediction.measured[:MOST_PARTICLES]
     figure = Figure(figsize=(11, 1.9 * len(shown) + 0.6), layout='constrained')
@@ -138,7 +192,7 @@ def draw_bands(prediction: Prediction) -> Figure:
 def _band(axis: Axes, prediction: Prediction, n: int, k: int) -> None:
     every = slice(None, None, -(-len(prediction.times) // MOST_POINTS))
     t, half = prediction.times[every], prediction.band[n, every] * 1e6
-    # Lines break where a prediction starts anew.
+    # Lines are interrupted where a prediction restarts.
     fresh = np.diff(prediction.elapsed[n, every], prepend=np.inf) < 0
     half[fresh] = np.nan
     found, plain = (np.where(fresh, np.nan, left[n, every, k]) * 1e6
@@ -158,10 +212,21 @@ def _band(axis: Axes, prediction: Prediction, n: int, k: int) -> None:
 
 
 def draw_places(left: Residual, diffusion: float) -> Figure | None:
-    """Mean velocity that is `left` by place, before and after; None if no place was seen enough.
+    """Draw the mean residual velocity by place, before and after.
 
-    Arrows beyond three standard errors, √(2D/time spent there) with
-    `diffusion` D [m²/s], are dark.
+    Arrows longer than three standard errors, √(2D/time spent there), are dark.
+
+    Parameters
+    ----------
+    left : Residual
+        Residuals of the session.
+    diffusion : float
+        D [m²/s].
+
+    Returns
+    -------
+    Figure or None
+        None if no place was visited enough.
     """
     figure = Figure(figsize=(11, 4.6), layout='constrained')
     axes = figure.subplots(1, 2, sharex=True, sharey=True)

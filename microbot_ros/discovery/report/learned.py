@@ -1,4 +1,4 @@
-"""The picture of a learned term: its curve, or its map, with the band."""
+"""Figure of a learned term: its curve, or its map, with the band."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ _WORDS = {
     'away_um_s': 'velocity away from it', 'around_um_s': 'velocity around it',
     'factor': 'part of the speed that is added', 'turn_rad': 'turn of the heading',
 }
+"""Axis labels of covariates and components, without unit."""
 
 
 def _label(name: str) -> str:
@@ -26,7 +27,18 @@ def _label(name: str) -> str:
 
 
 def draw_learned(term: LearnedTerm) -> Figure:
-    """A learned `term` against its covariate, where it was seen, with its 95 % band."""
+    """Draw a learned term against its covariate, where it has data.
+
+    Parameters
+    ----------
+    term : LearnedTerm
+        The term.
+
+    Returns
+    -------
+    Figure
+        Curves with their 95 % band, or a map.
+    """
     if term.against == 'position':
         return _map(term)
     figure = Figure(figsize=(11, 3.2), layout='constrained')

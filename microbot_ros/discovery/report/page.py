@@ -1,4 +1,4 @@
-"""`report.html`: what was found, for people. One file, pictures inside."""
+"""`report.html`: the result for people, in one file with its figures."""
 
 from __future__ import annotations
 
@@ -32,27 +32,60 @@ from microbot_ros.discovery.verdict import enough
 from microbot_ros.model.effects import EFFECTS
 
 _TEMPLATE = Path(__file__).with_name('report.html')
+"""Template of the report."""
+
 _HASHED = {'.csv', '.yaml', '.mcap', '.db3', '.json'}
+"""Suffixes of data files whose SHA-256 the report lists."""
 
 _SPEED = {'catalytic': 'v_um_s', 'rolling': 'gain_um_s_hz'}
+"""Propulsion → name, with unit, of a particle's speed."""
 
 
 def write_report(folder: Path, found: Discovery, sessions: Sequence[Session],
                  sources: Sequence[Path], asked: str = '', used: str = '') -> None:
-    """Write `report.html` into a `folder`.
+    """Write `report.html` into a folder.
 
-    `sessions` are those that `found` came from, in the same order, read from `sources`; `asked`
-    is HTML on how they came about, where discovery drove, `used` on what came of using the model.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the report.
+    found : Discovery
+        Result of the search.
+    sessions : sequence of Session
+        Sessions of the result, in the same order.
+    sources : sequence of Path
+        Files or folders that the sessions were read from.
+    asked : str, optional
+        HTML on how the sessions were chosen, where discovery drove the rig.
+    used : str, optional
+        HTML on the result of using the model.
     """
     write_text(Path(folder) / 'report.html', page(found, sessions, sources, asked, used))
 
 
 def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path],
          asked: str = '', used: str = '') -> str:
-    """The report on what was `found` as HTML that needs nothing else.
+    """Return the report as HTML that needs no other file.
 
-    `sessions`, `sources`, `asked` and `used` as for `write_report`; the same data give the same
-    page.
+    The same data give the same page.
+
+    Parameters
+    ----------
+    found : Discovery
+        Result of the search.
+    sessions : sequence of Session
+        Sessions of the result, in the same order.
+    sources : sequence of Path
+        Files or folders that the sessions were read from.
+    asked : str, optional
+        HTML on how the sessions were chosen, where discovery drove the rig.
+    used : str, optional
+        HTML on the result of using the model.
+
+    Returns
+    -------
+    str
+        The page.
     """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -80,7 +113,18 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path],
 
 
 def headline(found: Discovery) -> str:
-    """The verdict on what was `found`, in a sentence or two: number, interval and evidence."""
+    """Return the verdict in a sentence or two: number, interval and evidence.
+
+    Parameters
+    ----------
+    found : Discovery
+        Result of the search.
+
+    Returns
+    -------
+    str
+        Plain text.
+    """
     sure = [e for e in found.effects if e.status == 'established']
     rest = [e.id for e in found.effects if e.status != 'established']
     told = '; '.join(map(_told, sure))
@@ -103,7 +147,7 @@ def headline(found: Discovery) -> str:
 
 
 def _against(found: Discovery) -> str:
-    """The three maps that show most."""
+    """Return the three covariates of the smallest p-value."""
     shown = '; '.join(f'{m.against} ({chance(m.p_value)})' for m in found.unexplained[:3])
     more = len(found.unexplained) - 3
     return f'{shown}; and {more} more' if more > 0 else shown
@@ -117,7 +161,18 @@ def _told(effect: NamedEffect) -> str:
 
 
 def digests(source: Path) -> list[tuple[str, str]]:
-    """(file, SHA-256) of the data files of a session's `source`, as `sha256sum` prints them."""
+    """Return the checksums of the data files of a session, as `sha256sum` prints them.
+
+    Parameters
+    ----------
+    source : Path
+        File or folder of the session.
+
+    Returns
+    -------
+    list of (str, str)
+        File and SHA-256.
+    """
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     result = []
     for file in files:

@@ -1,4 +1,4 @@
-"""The predictive check: measured tracks against the band in which the model found expects them."""
+"""Predictive check: measured tracks against the band that the final model predicts."""
 
 from __future__ import annotations
 
@@ -10,20 +10,32 @@ from microbot_ros.discovery.report.residual import Residual
 from microbot_ros.discovery.result import Discovery
 
 SHORTEST, MOST = 10.0, 12
-"""Predictions start anew from the measured place after this long [s], but not more often."""
+"""Shortest stretch [s] of a prediction, after which it restarts from the measured place, and the
+maximum number of stretches (`MOST`).
+
+Choice: long enough for an effect to show beside diffusion, short enough for a figure."""
 
 EDGE = 1.645
-"""The 5 % and 95 % points of a normal distribution, in standard deviations."""
+"""5 % and 95 % quantiles of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Measured less predicted positions of a session, predicted without looking for a while.
+    """Measured less predicted positions of a session, in stretches of open-loop prediction.
 
-    `times` (T,) [s]; `names` of the N particles; `measured` and `without` (N, T, 2) [m] are
-    against the model found and the first-order model, NaN for gaps; the model found expects nine
-    in ten coordinates within ± `band` (N, T) [m], NaN where v is not known; `elapsed` (N, T) [s]
-    since the place that a prediction started from, NaN until the particle is seen.
+    Attributes
+    ----------
+    times : ndarray, shape (T,)
+        Times [s].
+    names : tuple of str
+        Names of the N particles.
+    measured, without : ndarray, shape (N, T, 2)
+        Deviations [m] from the final and the first-order model; NaN in gaps.
+    band : ndarray, shape (N, T)
+        Half-width [m] within which the final model expects 90 % of coordinates; NaN if v is
+        unknown.
+    elapsed : ndarray, shape (N, T)
+        Time [s] since the start of the stretch; NaN until the particle is seen.
     """
 
     times: np.ndarray
@@ -35,10 +47,7 @@ class Prediction:
 
     @property
     def inside(self) -> float:
-        """The fraction of the measured coordinates within the band, starts left out.
-
-        NaN where no band is known.
-        """
+        """Fraction of measured coordinates within the band, without starts; NaN without a band."""
         known = np.isfinite(self.measured) & (
             (self.elapsed > 0) & np.isfinite(self.band))[..., None]
         within = np.abs(self.measured) <= self.band[..., None]
@@ -46,11 +55,22 @@ class Prediction:
 
 
 def predict(found: Discovery, left: Residual) -> Prediction:
-    """The check of what was `found` on the session that its particles belong to.
+    """Predict the session that the particles of a result belong to.
 
-    `left` is the residual of that session. The band is wide by diffusion, by two readings, and by
-    how well v and φ are known beside the effects: their error carries a particle off in
-    proportion to the way it has swum.
+    The width of the band is due to diffusion, to two position readings, and to the errors of v and
+    φ beside the effects, which grow in proportion to the path.
+
+    Parameters
+    ----------
+    found : Discovery
+        Result of the search.
+    left : Residual
+        Residuals of that session.
+
+    Returns
+    -------
+    Prediction
+        Deviations and band.
     """
     starts = _starts(left)
     measured, without, swum = (_since(x, starts) for x in (left.found, left.plain, left.path))
@@ -64,9 +84,9 @@ def predict(found: Discovery, left: Residual) -> Prediction:
 
 
 def _starts(left: Residual) -> np.ndarray:
-    """The frame (T, N) from which each place is predicted; −1 until a particle is seen.
+    """Return the frame (T, N) from which each place is predicted; −1 until a particle is seen.
 
-    A stretch ends after a while, and where a particle jumps: no model follows that.
+    A stretch also ends where a particle jumps, since no model predicts that.
     """
     span = float(np.ptp(left.times))
     block = ((left.times - left.times[0]) / max(SHORTEST, span / MOST)).astype(int)
@@ -83,6 +103,6 @@ def _starts(left: Residual) -> np.ndarray:
 
 
 def _since(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Values (T, N, 2) less those at the start of each stretch: (N, T, 2)."""
+    """Return values (T, N, 2) less those at the start of each stretch, as (N, T, 2)."""
     base = np.take_along_axis(values, np.maximum(starts, 0)[..., None], axis=0)
     return np.moveaxis(np.where(starts[..., None] >= 0, values - base, np.nan), 0, 1)

@@ -1,4 +1,4 @@
-"""What the model found, and the first-order one, leave of a session frame by frame."""
+"""Residuals of the final and the first-order model, frame by frame."""
 
 from __future__ import annotations
 
@@ -15,19 +15,36 @@ from microbot_ros.model.increments import as_vectors
 from microbot_ros.model.model import Model, ParticleParameters
 
 PLACES = 10
-"""Squares along the longer side of what the tracks cover."""
+"""Squares along the longer side of the area that the tracks cover.
+
+Choice: more squares have fewer data each, fewer hide structure.
+"""
 
 
 @dataclass(frozen=True)
 class Residual:
-    """Measured positions less what models expect of N particles in T frames.
+    """Measured positions less expected displacements of N particles in T frames.
 
-    `times` (T,) [s] from the first frame; `commands` on the same clock; `names` of the particles;
-    `places` (T, N, 2) [m]: where last seen; `found` and `plain` (T, N, 2) [m]: positions less the
-    displacement since the first frame by the model found and by the first-order model, NaN for
-    gaps; `path` (T, N, 2) [s], for rollers [s·Hz]: what a particle of unit speed and φ = 0 would
-    have moved; `speed_std` (N,): how well v is known beside the effects found, which share what
-    they don't tell from it; `jumps` (T, N) bool: steps beyond any motion.
+    Attributes
+    ----------
+    times : ndarray, shape (T,)
+        Times [s] from the first frame.
+    commands : Commands
+        Commands on the same clock.
+    names : tuple of str
+        Names of the particles.
+    places : ndarray, shape (T, N, 2)
+        Last seen positions [m].
+    found, plain : ndarray, shape (T, N, 2)
+        Positions less the displacement since the first frame [m] by the final and the first-order
+        model; NaN in gaps.
+    path : ndarray, shape (T, N, 2)
+        Path of a particle of unit speed and φ = 0 [s], for rollers [s·Hz].
+    speed_std : ndarray, shape (N,)
+        Standard deviation of v beside the effects, including what these do not let one tell from
+        v.
+    jumps : ndarray of bool, shape (T, N)
+        Steps larger than any motion.
     """
 
     times: np.ndarray
@@ -42,9 +59,21 @@ class Residual:
 
 
 def residual(found: Discovery, session: Session) -> Residual:
-    """Return what `found` leaves of the last session, to which `found.particles` belong.
+    """Return the residuals of the last session, which the particles of a result belong to.
 
-    Particles that were left out of the fit are left out here too.
+    Particles excluded from the fit are excluded here too.
+
+    Parameters
+    ----------
+    found : Discovery
+        Result of the search.
+    session : Session
+        Its last session.
+
+    Returns
+    -------
+    Residual
+        Of the final and the first-order model.
     """
     session = replace(session, tracks=session.tracks.of(found.particles.ids))
     whole, prepared = (_with_phi(one, found.particles) for one in (
@@ -74,10 +103,25 @@ def _with_phi(session: PreparedSession, particles: ParticleParameters) -> Prepar
 
 
 def by_place(left: Residual, positions: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Middles (P, 2) [m], mean residual velocities (P, 2) [m/s] and times (P,) [s] of places.
+    """Return mean residual velocities by place.
 
-    `positions` are `left.found` or `left.plain`; places are squares that were visited for a
-    fifth of the usual time or longer.
+    Places are squares that were visited for a fifth of the usual time or longer.
+
+    Parameters
+    ----------
+    left : Residual
+        Residuals of the session.
+    positions : ndarray, shape (T, N, 2)
+        `left.found` or `left.plain`.
+
+    Returns
+    -------
+    place : ndarray, shape (P, 2)
+        Mean positions [m].
+    velocity : ndarray, shape (P, 2)
+        Mean residual velocities [m/s].
+    time : ndarray, shape (P,)
+        Particle time spent there [s].
     """
     step, span = np.diff(positions, axis=0), np.diff(left.times)[:, None]
     used = np.isfinite(step[..., 0]) & ~left.jumps[1:]
@@ -96,7 +140,7 @@ def by_place(left: Residual, positions: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def _filled(positions: np.ndarray) -> np.ndarray:
-    """The last known place (T, N, 2) where a particle is not seen; NaN before the first."""
+    """Return positions (T, N, 2) with gaps filled by the last place; NaN before the first."""
     seen = np.isfinite(positions[..., 0])
     last = np.maximum.accumulate(np.where(seen, np.arange(len(seen))[:, None], 0), axis=0)
     return np.take_along_axis(positions, last[..., None], axis=0)

@@ -1,4 +1,4 @@
-"""How the report writes numbers, intervals, chances, limits and names."""
+"""Formats of numbers, intervals, probabilities, limits and names in the report."""
 
 from __future__ import annotations
 
@@ -13,13 +13,25 @@ from microbot_ros.discovery.result import Estimate, Limit
 from microbot_ros.model.effects import EFFECTS
 
 LEAST = 1e-300
-"""Chances below and odds above 1/LEAST are beyond what floating point can tell apart."""
+"""Smallest printed p-value, and inverse of the largest printed odds: near the least double."""
 
 _RAISED = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
+"""Superscripts of exponents."""
 
 
 def number(x: float) -> str:
-    """`x` in two digits: 0.03, 4.2·10⁻⁹ with its power, larger ones whole up to 99 999."""
+    """Return a number in two digits.
+
+    Parameters
+    ----------
+    x : float
+        The number.
+
+    Returns
+    -------
+    str
+        As 0.03, 4.2·10⁻⁹ or 4321; whole from 100 to 99 999, `beyond computing` for ∞, else `–`.
+    """
     if not np.isfinite(x):
         return 'beyond computing' if x > 0 else '–'
     if x == 0 or 0.001 <= abs(x) < 1e5:
@@ -35,9 +47,21 @@ def _power(exponent: int) -> str:
 
 
 def interval(name: str, estimate: Estimate) -> str:
-    """An `estimate` with its 95 % interval in the unit of its `name`: `0.41 ± 0.06 µm/s`.
+    """Return an estimate with its 95 % interval, as `0.41 ± 0.06 µm/s`.
 
-    Where that would mislead, with its ends: `2.2 (1.5 to 4.3) mT`.
+    If ± would mislead, the ends are given: `2.2 (1.5 to 4.3) mT`.
+
+    Parameters
+    ----------
+    name : str
+        Name whose suffix gives the unit.
+    estimate : Estimate
+        Estimate, SI.
+
+    Returns
+    -------
+    str
+        `–` if the value is not finite.
     """
     value, low, high = (
         float(from_si(name, x)) for x in (estimate.value, estimate.low, estimate.high))
@@ -57,45 +81,122 @@ def interval(name: str, estimate: Estimate) -> str:
 
 
 def _within(value: float, half: float) -> str:
-    """As many digits of the value as the interval gives sense to, six at most."""
+    """Return value ± half-width with as many digits as the interval justifies, at most six."""
     digits = min(max(0, 1 - int(np.floor(np.log10(half)))), 6)
     return f'{value:.{digits}f} ± {half:.{digits}f}'
 
 
 def chance(p: float) -> str:
-    """A p-value `p` as people write it: `p = 0.03`, `p < 10⁻³⁰⁰` where it can't be computed."""
+    """Return a p-value as text.
+
+    Parameters
+    ----------
+    p : float
+        The p-value.
+
+    Returns
+    -------
+    str
+        As `p = 0.03`, or `p < 10⁻³⁰⁰` up to LEAST.
+    """
     return f'p = {number(p)}' if p > LEAST else 'p < 10⁻³⁰⁰'
 
 
 def odds(log_evidence: float) -> str:
-    """How many times as likely something is, of its `log_evidence`."""
+    """Return the odds of a log Bayes factor as text.
+
+    Parameters
+    ----------
+    log_evidence : float
+        Natural log of the odds.
+
+    Returns
+    -------
+    str
+        As `230 times`, or `more than 10³⁰⁰ times`.
+    """
     return (f'{number(float(np.exp(log_evidence)))} times' if log_evidence < -np.log(LEAST) else
             'more than 10³⁰⁰ times')
 
 
 def words(identifier: str) -> str:
-    """An `identifier` such as `uniform_drift` as people write it."""
+    """Return an identifier in words.
+
+    Parameters
+    ----------
+    identifier : str
+        As `uniform_drift`.
+
+    Returns
+    -------
+    str
+        As `uniform drift`.
+    """
     return identifier.replace('_', ' ')
 
 
 def listed(identifiers: list[str]) -> str:
-    """One or more `identifiers` as people list them: `a`, `a and b`, `a, b and c`."""
+    """Return several identifiers as a list in words.
+
+    Parameters
+    ----------
+    identifiers : list of str
+        At least one.
+
+    Returns
+    -------
+    str
+        As `a`, `a and b` or `a, b and c`.
+    """
     *head, last = map(words, identifiers)
     return f'{", ".join(head)} and {last}' if head else last
 
 
 def bare(name: str) -> str:
-    """The `name` of a parameter without its unit: `tau_s` is `tau`."""
+    """Return the name of a parameter without its unit.
+
+    Parameters
+    ----------
+    name : str
+        As `tau_s`.
+
+    Returns
+    -------
+    str
+        As `tau`.
+    """
     return words(name.removesuffix(suffix(name)))
 
 
 def term(effect_id: str) -> list[str]:
-    """What the effect `effect_id` adds to the equations, in paragraphs."""
+    """Return the docstring of an effect: what it adds to the equations.
+
+    Parameters
+    ----------
+    effect_id : str
+        Id of the effect.
+
+    Returns
+    -------
+    list of str
+        Paragraphs.
+    """
     return (inspect.getdoc(EFFECTS[effect_id]) or '').replace('`', '').split('\n\n')
 
 
 def limit(found: Limit) -> str:
-    """Where a parameter may still be, as `found`: `up to 0.1 µm/s`, `900 s or longer`."""
+    """Return the upper limit of a parameter as text.
+
+    Parameters
+    ----------
+    found : Limit
+        The limit, SI.
+
+    Returns
+    -------
+    str
+        As `up to 0.1 µm/s` or `900 s or longer`.
+    """
     parameter, unit = found.parameter, symbol(found.parameter.name)
     if not np.isfinite(found.upper_limit):
         return 'not bounded by these data'
@@ -109,6 +210,12 @@ def limit(found: Limit) -> str:
 
 
 def versions() -> dict[str, str]:
-    """What computed the report."""
+    """Return the versions of the software that computed the report.
+
+    Returns
+    -------
+    dict of str to str
+        Version by package.
+    """
     return {'microbot_ros': __version__} | {
         package: version(package) for package in ('numpy', 'scipy', 'numba')}

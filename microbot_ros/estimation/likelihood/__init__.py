@@ -1,1 +1,1 @@
-"""The likelihood of a model on whole sessions, and what rests on it."""
+"""Likelihood of a model on whole sessions, and estimates from it."""

@@ -1,4 +1,4 @@
-"""How late the motion follows the command: a posterior over the delay, not a point."""
+"""Posterior of the delay between command and motion."""
 
 from __future__ import annotations
 
@@ -14,39 +14,64 @@ from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 from microbot_ros.model.model import Model
 
 LONGEST_DELAY = 1.0
-"""Delays are looked for between 0 and this [s]."""
+"""Upper end [s] of the prior of the delay, which begins at 0.
+
+Choice: far above the latency of drives and cameras; a longer one costs evaluations.
+"""
 
 UNDETERMINED = 0.15
-"""With a standard deviation above this [s] the data do not determine the delay."""
+"""Standard deviation [s] above which the data do not determine the delay.
+
+Choice: half of the standard deviation of the flat prior, 0.29 s.
+"""
 
 
 @dataclass(frozen=True)
 class Delay:
-    """Delay `value` [s] with standard deviation `std`, NaN while the data do not determine it."""
+    """Delay `value` with standard deviation `std` [s], NaN while the data do not determine it."""
 
     value: float = 0.0
     std: float = np.nan
 
     @property
     def determined(self) -> bool:
-        """Whether the data determine it."""
+        """Whether the data determine the delay."""
         return bool(np.isfinite(self.std))
 
     def felt(self, slope: complex) -> complex:
-        """What its spread does to a quantity with that `slope` [1/s]; nothing where undetermined.
+        """Return the effect of the delay's uncertainty on a quantity.
 
-        Then it is said that φ hangs on it.
+        Parameters
+        ----------
+        slope : complex
+            Derivative of the quantity by the delay [1/s].
+
+        Returns
+        -------
+        complex
+            Slope times standard deviation. 0 if the delay is undetermined: then a remark says that
+            φ depends on it.
         """
         return slope * self.std if self.determined else 0j
 
 
 def delay_posterior(log_likelihood: Callable[[float], float]) -> Iterator[Delay | None]:
-    """Evaluate the profile `log_likelihood` of a delay [s] a little at a time; last, the Delay.
+    """Compute the posterior of a delay under a flat prior on [0, LONGEST_DELAY].
 
-    Under a flat prior on [0, LONGEST_DELAY]. A turn of the command leaves a cusp in the
-    likelihood, not a parabola, so mean and spread are integrated over a grid that is refined
-    around the mode until it resolves the spread. Yields None after every evaluation, so that a
-    caller with frames to serve can spread the work.
+    A turn of the command leaves a cusp in the likelihood, not a parabola. Mean and standard
+    deviation are therefore integrated over a grid, refined around the mode until it resolves the
+    distribution.
+
+    Parameters
+    ----------
+    log_likelihood : callable
+        Profile log likelihood of a delay [s].
+
+    Yields
+    ------
+    Delay or None
+        None after every evaluation, so that a caller with frames to serve can distribute the work;
+        the posterior at last.
     """
     grid = np.linspace(0, LONGEST_DELAY, 21)
     known: dict[float, float] = {}
@@ -67,7 +92,7 @@ def delay_posterior(log_likelihood: Callable[[float], float]) -> Iterator[Delay 
 
 
 def _moments(at: np.ndarray, value: np.ndarray) -> tuple[float, float, float]:
-    """Mean and standard deviation of exp(value), linear in the logarithm between points; mode."""
+    """Return mean, standard deviation and mode of exp(value), log-linear between points."""
     mode = float(at[np.argmax(value)])
     fine = np.unique(np.concatenate([
         np.linspace(low, high, 12) for low, high in pairwise(at)
@@ -83,9 +108,16 @@ def _moments(at: np.ndarray, value: np.ndarray) -> tuple[float, float, float]:
 
 
 class DelayedFits:
-    """Fits of one `model` to one `session` as functions of how late commands act.
+    """Fits of one model to one session as functions of the delay of commands.
 
-    Effects that depend on place are taken at the session's positions.
+    Effects that depend on place are evaluated at the session's positions.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    session : PreparedSession
+        The session, with commands as logged.
     """
 
     def __init__(self, model: Model, session: PreparedSession) -> None:
@@ -95,27 +127,69 @@ class DelayedFits:
         self._step = 0.5 * session.interval
 
     def session(self, delay: float) -> PreparedSession:
-        """The session with its commands that `delay` [s] later."""
+        """Return the session with its commands delayed.
+
+        Parameters
+        ----------
+        delay : float
+            Delay [s].
+
+        Returns
+        -------
+        PreparedSession
+            The session.
+        """
         commands = self._session.commands
         return replace(self._session, commands=replace(commands, t=commands.t + delay))
 
     def at(self, delay: float, noise_ratio: float) -> SessionFit:
-        """The fit for one `delay` [s] and `noise_ratio` [s]."""
+        """Fit the session for one delay.
+
+        Parameters
+        ----------
+        delay : float
+            Delay [s].
+        noise_ratio : float
+            σ²/D less a third of the exposure [s].
+
+        Returns
+        -------
+        SessionFit
+            The fit.
+        """
         session = self.session(delay)
         expected = ExpectedDisplacement.of(self._model, session.timeline)
         return SessionFit.of(session, Whitening(noise_ratio), expected)
 
     def posterior(self, noise_ratio: float) -> Iterator[Delay | None]:
-        """That of the delay under a `noise_ratio` [s], an evaluation at a time.
+        """Compute the posterior of the delay, one evaluation at a time (`delay_posterior`).
 
-        See `delay_posterior`.
+        Parameters
+        ----------
+        noise_ratio : float
+            σ²/D less a third of the exposure [s].
+
+        Yields
+        ------
+        Delay or None
+            None after every evaluation, the posterior at last.
         """
         return delay_posterior(lambda delay: self.at(delay, noise_ratio).log_likelihood)
 
     def log_phasor_slope(self, delay: float, noise_ratio: float) -> complex:
-        """d log(v e^{iφ}) / d delay [1/s] at a `delay` [s] under a `noise_ratio` [s].
+        """Return d log(v e^{iφ}) / d delay, averaged over particles by their information.
 
-        Averaged over particles by what each knows; 0 where none is driven.
+        Parameters
+        ----------
+        delay : float
+            Delay [s].
+        noise_ratio : float
+            σ²/D less a third of the exposure [s].
+
+        Returns
+        -------
+        complex
+            Slope [1/s]; 0 where no particle is driven.
         """
         early, late = (self.at(delay + s, noise_ratio) for s in (-self._step, self._step))
         before, after = early.velocity_phasor, late.velocity_phasor

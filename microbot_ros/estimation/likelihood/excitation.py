@@ -1,6 +1,6 @@
-"""What the recent command cannot tell apart, from the information it carries.
+"""What the recent command cannot distinguish, from its Fisher information.
 
-Nothing here is compiled: it is also said before anything is fitted, by `microbot info`.
+Nothing here is compiled: `microbot info` reports it before any fit.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ PARAMETERS = ('speed', 'φ', 'delay', 'drift', 'drift')
 """Rows of the information: log v, φ, delay, drift along x, drift along y."""
 
 WEAK = 0.01
-"""A combination of parameters with less than this share of their information is unseen."""
+"""Fraction of its information below which a combination of parameters is not identifiable.
+
+Choice: its standard deviation is then ten times what each parameter alone would have.
+"""
 
 _ADVICE = {
     frozenset(('φ', 'delay')): 'turn the field both ways, or in steps',
@@ -28,14 +31,23 @@ _ADVICE = {
     frozenset(('φ', 'drift')): 'turn the field to other directions',
     frozenset(('delay', 'drift')): 'turn the field more often',
 }
+"""Pairs that a command does not distinguish → advice."""
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """What a command of `seconds` length leaves open.
+    """What a command does not determine.
 
-    `pairs` of PARAMETERS that cannot be told apart, worst first; `driven`: something moved;
-    `turned`: the command changed, so that a delay shows.
+    Attributes
+    ----------
+    seconds : float
+        Duration of the command [s].
+    driven : bool
+        Whether anything was driven.
+    turned : bool
+        Whether the command changed, so that a delay shows.
+    pairs : tuple of (str, str)
+        Pairs of PARAMETERS that are not distinguished, worst first.
     """
 
     seconds: float
@@ -45,12 +57,12 @@ class Excitation:
 
     @property
     def shows_delay(self) -> bool:
-        """Whether a delay can be told from φ."""
+        """Whether a delay is distinguished from φ."""
         return self.driven and self.turned and ('φ', 'delay') not in self.pairs
 
     @property
     def sentences(self) -> list[str]:
-        """One sentence for everything that is open, with what would settle it."""
+        """One sentence for each open question, with a command that would settle it."""
         last = f'the last {self.seconds:.0f} s'
         if not self.driven:
             return [f'nothing was driven in {last}: speed, φ and delay are unseen']
@@ -65,10 +77,20 @@ class Excitation:
 
 
 def command_excitation(session: Session) -> Excitation | None:
-    """What the commands of a `session` could tell apart, before anything is fitted.
+    """Return what the commands of a session could distinguish, before any fit.
 
-    Under Stokes–Einstein's diffusion, 0.1 µm²/s where it is not known, and localised to 50 nm.
-    None with fewer than two frames.
+    Assumes diffusion by Stokes–Einstein, or 0.1 µm²/s where it is unknown, and a localisation
+    error of 50 nm.
+
+    Parameters
+    ----------
+    session : Session
+        Commands and frames.
+
+    Returns
+    -------
+    Excitation or None
+        None with fewer than two frames.
     """
     prepared = PreparedSession.of(session)
     if len(prepared.times) < 2:
@@ -79,11 +101,27 @@ def command_excitation(session: Session) -> Excitation | None:
 
 
 def excitation(model: Model, session: PreparedSession, delay: float, noise: Noise) -> Excitation:
-    """What the commands of a `session` could tell apart, `delay` [s] late and under `noise`.
+    """Return what the commands of a session could distinguish.
 
-    By the Fisher information about PARAMETERS in the first order of a `model`, from one particle
-    with v = 1 and φ = 0 that is always seen: its path ∫u dt [s], turned by 90°, its derivative by
-    the delay, and time, for a slow drift.
+    By the Fisher information on PARAMETERS, from one particle with v = 1 and φ = 0 that is always
+    seen. Its columns are the path ∫u dt [s], the same rotated by 90°, its derivative by the delay,
+    and time, for a slow drift.
+
+    Parameters
+    ----------
+    model : Model
+        Only its first order is used.
+    session : PreparedSession
+        Commands and frames.
+    delay : float
+        Delay of the commands [s].
+    noise : Noise
+        Diffusion and localisation error.
+
+    Returns
+    -------
+    Excitation
+        Undetermined pairs of parameters.
     """
     step = 0.5 * session.interval
     early, path, late = (_moved(model, session, delay + s) for s in (-step, 0.0, step))
@@ -101,7 +139,7 @@ def excitation(model: Model, session: PreparedSession, delay: float, noise: Nois
 
 
 def _moved(model: Model, session: PreparedSession, delay: float) -> np.ndarray:
-    """∫u dt [s] over every frame interval (T−1,), complex, with the commands `delay` [s] late."""
+    """Return ∫u dt [s] over every frame interval (T − 1,), with the commands `delay` [s] late."""
     bare = Model(model.reference_field, model.propulsion)
     late = replace(session.commands, t=session.commands.t + delay)
     segments, course, context = integrate_heading(bare, replace(session, commands=late).timeline)
@@ -110,10 +148,10 @@ def _moved(model: Model, session: PreparedSession, delay: float) -> np.ndarray:
 
 
 def _information(columns: np.ndarray, interval: np.ndarray, noise: Noise) -> np.ndarray:
-    """That of increments about the amplitudes of `columns` (T−1, M) of them.
+    """Return the information of increments on the amplitudes of `columns` (T − 1, M).
 
-    Increments over an `interval` h have the variance 2Dh + 2R and the covariance −R with their
-    neighbours, R = σ² − DE/3 (see `noise`).
+    Increments over an `interval` h have variance 2Dh + 2R and covariance −R with their neighbours,
+    R = σ² − DE/3 (see `noise`).
     """
     covariance = np.full((3, len(interval)), -noise.ratio)
     covariance[1] = 2 * (interval + noise.ratio)
@@ -122,7 +160,7 @@ def _information(columns: np.ndarray, interval: np.ndarray, noise: Noise) -> np.
 
 
 def _confounded(info: np.ndarray) -> tuple[tuple[str, str], ...]:
-    """Pairs that a nearly singular direction of the scaled information mixes, worst first."""
+    """Return pairs that a nearly singular direction of the information mixes, worst first."""
     size = np.sqrt(np.diag(info))
     present = size > 1e-9 * size.max(initial=1e-300)
     names = [name for name, there in zip(PARAMETERS, present, strict=True) if there]

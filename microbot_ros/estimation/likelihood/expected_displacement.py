@@ -1,4 +1,4 @@
-"""What a model expects of every frame, as displacements accumulated since the first."""
+"""Expected displacement since the first frame, by a model."""
 
 from __future__ import annotations
 
@@ -14,11 +14,18 @@ from microbot_ros.model.timeline import Timeline
 
 @dataclass(frozen=True)
 class ExpectedDisplacement:
-    """Complex displacements [m] since the first frame, before v e^{iφ} is known.
+    """Complex displacements [m] since the first frame, for any v e^{iφ}.
 
-    A particle with v e^{iφ} = a + ib is at `offset` [m] + a·`along` + b·`across`, each
-    (T, 1 or N); `along` and `across` [s], for rollers [s·Hz]. `isotropic`: across is i·along, as
-    it is where pixels are square.
+    A particle with v e^{iφ} = a + ib is displaced by `offset` + a·`along` + b·`across`.
+
+    Attributes
+    ----------
+    offset : ndarray of complex, shape (T, 1 or N)
+        Displacement by drift [m].
+    along, across : ndarray of complex, shape (T, 1 or N)
+        Displacement per unit v e^{iφ} [s], for rollers [s·Hz].
+    isotropic : bool
+        Whether `across` is i·`along`, as for square pixels.
     """
 
     offset: np.ndarray
@@ -28,7 +35,20 @@ class ExpectedDisplacement:
 
     @classmethod
     def of(cls, model: Model, timeline: Timeline) -> ExpectedDisplacement:
-        """Of a `model` at the frames of a `timeline`; a particle not in view does not move."""
+        """Compute the displacements of a model.
+
+        Parameters
+        ----------
+        model : Model
+            The model.
+        timeline : Timeline
+            Commands and frames. A particle out of view does not move.
+
+        Returns
+        -------
+        ExpectedDisplacement
+            At the frames of the timeline.
+        """
         response = respond(model, timeline)
         if not any(effect.stage == 'observation' for effect in model.effects):
             along = _accumulate(response.propulsion)
@@ -40,25 +60,48 @@ class ExpectedDisplacement:
         return cls(_accumulate(as_complex(response.offset())), along, across, False)
 
     def at(self, velocity_phasor: np.ndarray) -> np.ndarray:
-        """Displacements (T, N) [m] of particles with `velocity_phasor` v e^{iφ} (N,)."""
+        """Return the displacements of particles.
+
+        Parameters
+        ----------
+        velocity_phasor : ndarray of complex, shape (N,)
+            v e^{iφ} [m/s].
+
+        Returns
+        -------
+        ndarray of complex, shape (T, N)
+            Displacements [m].
+        """
         own = self.along * velocity_phasor if self.isotropic else (
             self.along * velocity_phasor.real + self.across * velocity_phasor.imag)
         moved: np.ndarray = self.offset + own
         return moved
 
     def beyond(self, other: ExpectedDisplacement, velocity_phasor: np.ndarray) -> np.ndarray:
-        """How much further (T, N) [m] particles of that `velocity_phasor` are than by an `other`.
+        """Return the displacements of particles, less those by another model.
+
+        Parameters
+        ----------
+        other : ExpectedDisplacement
+            Displacements by the other model.
+        velocity_phasor : ndarray of complex, shape (N,)
+            v e^{iφ} [m/s].
+
+        Returns
+        -------
+        ndarray of complex, shape (T, N)
+            Differences [m].
         """
         if not (self.isotropic and other.isotropic):
             return self.at(velocity_phasor) - other.at(velocity_phasor)
-        # What all particles share is compared once.
+        # Columns that all particles share are subtracted once.
         further: np.ndarray = (self.offset - other.offset) + (
             self.along - other.along) * velocity_phasor
         return further
 
 
 def _accumulate(steps: np.ndarray) -> np.ndarray:
-    """Sums (T, N) of steps (T−1, N); a particle that is not in view makes none."""
+    """Return sums (T, N) of steps (T − 1, N); a particle out of view makes none."""
     sums = np.zeros((len(steps) + 1, steps.shape[1]), complex)
     known = np.isfinite(steps)
     np.cumsum(steps if known.all() else np.where(known, steps, 0), axis=0, out=sums[1:])

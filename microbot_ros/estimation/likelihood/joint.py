@@ -1,23 +1,23 @@
-"""The likelihood of a model on sessions, and its maximum: the one that all fits rest on.
+"""The likelihood of a model on sessions, and its maximum, on which all fits rest.
 
 Positions are a random walk (D) read with an error (σ): the n coordinates of all increments are
-Gaussian with covariance D·V, where V depends on σ²/D alone (see `noise`). A model is linear in
-v e^{iφ} of every particle, columns X, so these and D follow in closed form and only σ²/D and the
+Gaussian with covariance D·V, where V depends on σ²/D only (see `noise`). A model is linear in v
+e^{iφ} of every particle, with columns X. These and D follow in closed form, and only σ²/D and the
 parameters of effects are searched (variable projection: Golub and Pereyra 1973; the Jacobian is
 Kaufman's, 1975).
 
-Effects are compared by the profile likelihood with D corrected for degrees of freedom: with p
+Effects are compared by the profile likelihood with D corrected for degrees of freedom. With p
 numbers v cos φ, v sin φ and f = n − p,
 
     ℓ = −(f/2) (log 2πD + 1) − ½ log|V|,    D = RSS/f.
 
-σ²/D, for which X stays, is where the restricted likelihood is largest (REML: Patterson and
-Thompson 1971; Harville 1974),
+σ²/D, for which X is constant, maximises the restricted likelihood (REML: Patterson and Thompson
+1971; Harville 1974),
 
     ℓ_R = ℓ − ½ log|XᵀV⁻¹X|.
 
-On many short tracks ℓ alone makes D 1.1 to 2.2 times as large as it is. Effects can't be compared
-by ℓ_R, since that term depends on the scale of X: an effect that shrinks X would gain by it.
+On many short tracks ℓ alone overestimates D by a factor of 1.1 to 2.2. Effects cannot be compared
+by ℓ_R, whose last term depends on the scale of X: an effect that shrinks X would gain by it.
 """
 
 from __future__ import annotations
@@ -35,36 +35,61 @@ from microbot_ros.estimation.likelihood.phasor import Polar, polar
 from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 
 SMALLEST, LARGEST = 0.05, 1e5
-"""Bounds of (σ²/D + h/3)/h in the search; beyond them one of the two can't be seen at all."""
+"""Smallest and largest (`LARGEST`) value of (σ²/D + h/3)/h in the search.
+
+Choice: beyond them σ or D does not show at all.
+"""
 
 VANISHING = 1e-200
-"""Squares of what a parameter does, in units of the noise, whose inverse would overflow."""
+"""Power of a parameter's column, in units of the noise, below which its inverse would overflow."""
 
 REMEMBERED = 12
-"""White columns of a session that are kept."""
+"""Number of whitened columns of a session that are cached.
+
+Choice: more than a model has strengths; each takes 16 bytes per row.
+"""
 
 _GOLDEN, _BRACKET = (math.sqrt(5) - 1) / 2, 0.1
-"""Of the search: the golden section, and the width from which a parabola does the rest."""
+"""Golden section of the search, and the width (`_BRACKET`) below which a parabola does the rest.
+
+Choice: over 10 % of σ²/D the likelihood is a parabola.
+"""
 
 
 @dataclass(frozen=True)
 class Whitening:
-    """The covariance V of a session's positions up to a factor D, as the filter that undoes it.
+    """Covariance V of a session's positions up to a factor D, as the filter that whitens them.
 
-    `noise_ratio` [s] is σ²/D less a third of the exposure, so that it may be negative. Where
-    headings keep what noise did to them from frame to frame, `diffusion_ratio` is D_r/D
-    [rad²/m²], with `sensitivity` and `retention` (T−1, N) of `kernels.whiten_with_heading`.
-    Where velocities fluctuate, the same three describe the relative deviation of each speed, which
-    has the correlation time `fluctuation` [s]; None: velocities are steady. `wander` is the
-    variance of the deviation of its direction [rad²], with the same correlation time, over that
-    of its speed. Rollers swing forth and back with every turn: `swing_ratio` [s] is the variance
-    over D by which positions scatter for that along the `way` (T, N) of each, complex of length 1
-    or 0. Commands act earlier or later than logged, and bodies turn over before they follow:
-    `jitter_ratio` [s³/m²] is the variance of that time over 2D, and `change` (T−1, N) [m²/s²] the
-    square of the change of the velocity around each interval. Steps along the way are uneven:
-    `uneven_ratio` [s/m] is the variance of a distance over D, for each metre of it; `stride`
-    (T−1, N) [√m], complex, is the root of each step, along it. `stretch`: how much larger than
-    they are lengths look along x and along y.
+    Attributes
+    ----------
+    noise_ratio : float
+        σ²/D less a third of the exposure [s]; it may be negative.
+    diffusion_ratio : float
+        D_r/D [rad²/m²], where headings keep what noise did to them from frame to frame.
+    sensitivity, retention : ndarray, shape (T − 1, N)
+        Arguments of `kernels.whiten_with_heading`.
+    stretch : (float, float)
+        Factors by which lengths along x and y appear larger than they are.
+    fluctuation : float or None
+        Correlation time of velocities [s]. `diffusion_ratio`, `sensitivity` and `retention` then
+        describe the relative deviation of each speed. None: velocities are steady.
+    swing_ratio : float
+        Variance, over D [s], of positions of rollers along their path: they swing forth and back
+        with every turn.
+    way : ndarray of complex, shape (T, N)
+        Direction of each particle's path, of length 1 or 0.
+    wander : float
+        Variance of the deviation of a velocity's direction [rad²], with the same correlation time,
+        over that of its relative speed.
+    jitter_ratio : float
+        Variance of the time by which commands act early or late, over 2D [s³/m²]; also of bodies
+        that turn over before they follow.
+    change : ndarray, shape (T − 1, N)
+        Squared change of the velocity around each interval [m²/s²].
+    uneven_ratio : float
+        Variance of a distance along the path, over D, per metre of it [s/m]: steps are uneven.
+    stride : ndarray of complex, shape (T − 1, N)
+        Square root of each step [√m], in its direction.
     """
 
     noise_ratio: float
@@ -83,12 +108,29 @@ class Whitening:
 
     @property
     def is_plain(self) -> bool:
-        """Whether both axes are alike, and headings not noisy."""
+        """Whether both axes are alike and headings have no noise."""
         return self.sensitivity is None and self.stretch == (1.0, 1.0)
 
     def apply(self, session: PreparedSession,
               columns: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """White `columns` (T, N, M) of a `session`, ½ log|V| over both axes, rows used."""
+        """Whiten columns of a session.
+
+        Parameters
+        ----------
+        session : PreparedSession
+            Frames and pieces of tracks.
+        columns : ndarray of complex, shape (T, N, M)
+            Positions or displacements [m].
+
+        Returns
+        -------
+        white : ndarray of complex, shape (T, N, M)
+            Independent increments of variance D per axis; 0 in unused rows.
+        log_det : float
+            ½ log|V| over both axes.
+        count : int
+            Rows used.
+        """
         from microbot_ros.estimation.likelihood.kernels import whiten_columns, whiten_with_heading
 
         rows = session.times, session.pieces
@@ -111,10 +153,25 @@ class Whitening:
 
     def products(self, session: PreparedSession,
                  expected: ExpectedDisplacement) -> tuple[np.ndarray, float, int]:
-        """Inner products (N, 3, 3) of data, along and across, white; ½ log|V| and rows as `apply`.
+        """Return inner products of the whitened data and columns, which are not stored.
 
-        Where what is `expected` is isotropic and nothing stretched; what is white need not be
-        kept then.
+        For isotropic displacements without stretch only.
+
+        Parameters
+        ----------
+        session : PreparedSession
+            The data.
+        expected : ExpectedDisplacement
+            Displacements by the model.
+
+        Returns
+        -------
+        gram : ndarray, shape (N, 3, 3)
+            Real inner products of data less offset, along and across.
+        log_det : float
+            ½ log|V| over both axes.
+        count : int
+            Rows used.
         """
         from microbot_ros.estimation.likelihood.kernels import (
             whitened_products,
@@ -130,34 +187,45 @@ class Whitening:
             self._stride(self.sensitivity))
 
     def _swing(self, session: PreparedSession) -> np.ndarray:
-        """How readings scatter along the way of each particle (T, N)."""
+        """Return how readings scatter along the path of each particle (T, N)."""
         if self.way is None:
             return np.zeros(session.pieces.shape, complex)
         return math.sqrt(self.swing_ratio) * self.way
 
     def _kick(self, like: np.ndarray | None) -> np.ndarray:
-        """Variance (T−1, N) [s] by changes of the command, over D; an array `like` that."""
+        """Return the variance (T − 1, N) [s] by changes of the command, over D."""
         return np.zeros_like(like) if self.change is None else self.jitter_ratio * self.change
 
     def _stride(self, like: np.ndarray) -> np.ndarray:
-        """How uneven the step of each particle is along its way (T−1, N)."""
+        """Return how uneven the step of each particle is along its path (T − 1, N)."""
         if self.stride is None:
             return np.zeros_like(like)
         return math.sqrt(self.uneven_ratio) * self.stride
 
     def _unstretched(self, vectors: np.ndarray) -> np.ndarray:
-        """Complex `vectors` as they are, not as they look."""
+        """Return complex `vectors` as they are, from how they appear."""
         return vectors if self.stretch == (1.0, 1.0) else (
             vectors.real / self.stretch[0] + 1j * vectors.imag / self.stretch[1])
 
 
 @dataclass(frozen=True)
 class SessionFit:
-    """One session under a model of given effects and noise ratio: all that follows in closed form.
+    """Fit of one session for given effects and noise: all that follows in closed form.
 
-    `session` and `whitening` as given, `expected` by the model. `gram` (N, 3, 3): real inner
-    products of `white` by track; `log_det` = ½ log|V|; `count` of the increments used, of two
-    numbers.
+    Attributes
+    ----------
+    session : PreparedSession
+        The data.
+    whitening : Whitening
+        The noise.
+    expected : ExpectedDisplacement
+        Displacements by the model.
+    gram : ndarray, shape (N, 3, 3)
+        Real inner products of `white` by track.
+    log_det : float
+        ½ log|V| over both axes.
+    count : int
+        Increments used, of two numbers each.
     """
 
     session: PreparedSession
@@ -170,7 +238,22 @@ class SessionFit:
     @classmethod
     def of(cls, session: PreparedSession, whitening: Whitening,
            expected: ExpectedDisplacement) -> SessionFit:
-        """A `session` whose displacements are `expected`, under the noise of `whitening`."""
+        """Fit v e^{iφ} and D of a session.
+
+        Parameters
+        ----------
+        session : PreparedSession
+            The data.
+        whitening : Whitening
+            The noise.
+        expected : ExpectedDisplacement
+            Displacements by the model.
+
+        Returns
+        -------
+        SessionFit
+            The fit.
+        """
         if expected.isotropic and whitening.stretch == (1.0, 1.0):
             return cls(session, whitening, expected, *whitening.products(session, expected))
         white, log_det, count = whitening.apply(session, _columns(session, expected))
@@ -180,22 +263,19 @@ class SessionFit:
 
     @cached_property
     def white(self) -> np.ndarray:
-        """White data and columns along and across (T, N, 3), of unit variance but for D.
-
-        The data less the offset.
-        """
+        """Whitened data less offset, and columns along and across (T, N, 3), of variance D."""
         return self.whitening.apply(self.session, _columns(self.session, self.expected))[0]
 
     @cached_property
     def velocity_phasor(self) -> np.ndarray:
-        """v e^{iφ} (N,) of every track [m/s, for rollers m/s/Hz]; 0 where nothing drove it."""
+        """Phasor v e^{iφ} (N,) of every track [m/s, rollers m/s/Hz]; 0 if nothing drove it."""
         solved = solve(self.gram[:, 1:, 1:], self.gram[:, 1:, :1])[..., 0]
         own: np.ndarray = solved[:, 0] + 1j * solved[:, 1]
         return own
 
     @cached_property
     def power(self) -> np.ndarray:
-        """Information (N,) about each axis of v e^{iφ}, times D; 0 where nothing drove it."""
+        """Information (N,) on each axis of v e^{iφ}, times D; 0 where nothing drove it."""
         power: np.ndarray = np.trace(self.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
         return power
 
@@ -207,7 +287,13 @@ class SessionFit:
             driven, self.diffusion / np.where(driven, self.power, 1), np.inf))
 
     def polar(self) -> Polar:
-        """Speed and φ of every track (N,), with their spreads; NaN where nothing drove it."""
+        """Return speed and φ of every track.
+
+        Returns
+        -------
+        Polar
+            Arrays (N,) with standard deviations; NaN where nothing drove it.
+        """
         std = self.phasor_std
         return polar(self.velocity_phasor, np.where(np.isfinite(std), std, np.nan))
 
@@ -218,12 +304,12 @@ class SessionFit:
 
     @cached_property
     def degrees_of_freedom(self) -> int:
-        """f = n − p, at least 1."""
+        """Degrees of freedom f = n − p, at least 1."""
         return max(2 * (self.count - int((self.power > 0).sum())), 1)
 
     @property
     def fluctuation(self) -> float:
-        """Standard deviation of each speed about its mean, relative to it; 0 where steady."""
+        """Relative standard deviation of each speed about its mean; 0 for steady speeds."""
         time = self.whitening.fluctuation
         return 0.0 if time is None else math.sqrt(
             self.whitening.diffusion_ratio * self.diffusion * time)
@@ -244,17 +330,39 @@ class SessionFit:
         return math.sqrt(max(self.whitening.noise_ratio, 0.0) * self.diffusion)
 
     def unevenness(self, distance: float) -> float:
-        """Standard deviation [m] of a `distance` [m] along the way by uneven steps."""
+        """Return the standard deviation of a distance along the path by uneven steps.
+
+        Parameters
+        ----------
+        distance : float
+            Distance [m].
+
+        Returns
+        -------
+        float
+            Standard deviation [m].
+        """
         return math.sqrt(self.whitening.uneven_ratio * self.diffusion * distance)
 
     @property
     def moved(self) -> np.ndarray:
-        """How far v moves each particle (T − 1, N) [m] from frame to frame, complex."""
+        """Displacements (T − 1, N) [m] between frames by v, complex."""
         return np.diff(self.expected.along * self.velocity_phasor.real
                        + self.expected.across * self.velocity_phasor.imag, axis=0)
 
     def unsteady_motion(self, seconds: float) -> float:
-        """Mean square [m²] per axis of what fluctuating speeds and swings add in `seconds` [s]."""
+        """Return the mean square displacement that fluctuating speeds and swings add.
+
+        Parameters
+        ----------
+        seconds : float
+            Time [s].
+
+        Returns
+        -------
+        float
+            Mean square per axis [m²].
+        """
         time = self.whitening.fluctuation
         if time is None:
             return 0.0
@@ -265,7 +373,7 @@ class SessionFit:
         return walked / 2 + self.swing**2 + frames * self._steps()
 
     def _steps(self) -> float:
-        """Mean square [m²] per axis that uneven steps and late commands add in an interval."""
+        """Return the mean square [m²] per axis by uneven steps and late commands per interval."""
         noise = self.whitening
         if noise.change is None or noise.stride is None:
             return 0.0
@@ -275,7 +383,7 @@ class SessionFit:
 
     @property
     def swing(self) -> float:
-        """Standard deviation [m] of each position about the motion, along it, as rollers turn."""
+        """Standard deviation [m] of each position along the path, as rollers turn."""
         return math.sqrt(self.whitening.swing_ratio * self.diffusion)
 
     @property
@@ -285,38 +393,59 @@ class SessionFit:
 
     @cached_property
     def log_likelihood(self) -> float:
-        """ℓ, with v, φ and D at their maximum: what effects are compared by."""
+        """ℓ, with v, φ and D at their maximum, by which effects are compared."""
         return (-0.5 * self.degrees_of_freedom * (np.log(2 * np.pi * self.diffusion) + 1)
                 - self.log_det)
 
     @cached_property
     def restricted_log_likelihood(self) -> float:
-        """ℓ_R: what noise levels under the same columns are compared by."""
+        """ℓ_R, by which noise levels for the same columns are compared."""
         information = self.gram[self.power > 0][:, 1:, 1:]
         return self.log_likelihood - 0.5 * float(np.linalg.slogdet(information)[1].sum())
 
     @cached_property
     def residual(self) -> np.ndarray:
-        """White residual (T, N) complex, of unit variance per axis; 0 in rows not used."""
+        """Whitened residual (T, N), complex, of unit variance per axis; 0 in unused rows."""
         c = self.velocity_phasor
         fitted = self.white[..., 1] * c.real + self.white[..., 2] * c.imag
         residual: np.ndarray = (self.white[..., 0] - fitted) / np.sqrt(self.diffusion)
         return residual
 
     def whiten(self, columns: np.ndarray) -> np.ndarray:
-        """Other displacement `columns` (T, N, M) [m], whitened, in units of the noise."""
+        """Whiten other displacements.
+
+        Parameters
+        ----------
+        columns : ndarray of complex, shape (T, N, M)
+            Displacements [m].
+
+        Returns
+        -------
+        ndarray of complex, shape (T, N, M)
+            In units of the noise.
+        """
         white = self.whitening.apply(self.session, np.ascontiguousarray(columns, complex))[0]
         white /= np.sqrt(self.diffusion)
         return white
 
     def white_columns(
             self, columns: Sequence[tuple[Hashable, Callable[[], np.ndarray]]]) -> np.ndarray:
-        """Other `columns`, displacements (T, N) [m] with a key each, whitened (T, N, P) but for D.
+        """Whiten other displacements, with a cache.
 
-        Whose key is not None is remembered by it for this session and noise, the latest few of
-        them. The rest are whitened together, since most of the work is the same for all.
+        All columns that are not cached are whitened together, since most of the work is the same.
+
+        Parameters
+        ----------
+        columns : sequence of (hashable, callable)
+            Key and function that returns displacements (T, N) [m]. The latest columns whose key is
+            not None are cached under it, for this session and noise.
+
+        Returns
+        -------
+        ndarray of complex, shape (T, N, P)
+            Increments of variance D per axis.
         """
-        # With its session, as an id is given again once that is gone.
+        # The session is kept as well, since ids of deleted objects are reused.
         known: dict[Hashable, tuple[PreparedSession, np.ndarray]]
         known = vars(self.whitening).setdefault('_columns', {})
         shape = self.session.z.shape
@@ -346,14 +475,35 @@ class SessionFit:
         return white
 
     def with_noise_ratio(self, ratio: float) -> SessionFit:
-        """The same under another noise `ratio` [s]."""
+        """Fit the same session with another noise ratio.
+
+        Parameters
+        ----------
+        ratio : float
+            σ²/D less a third of the exposure [s].
+
+        Returns
+        -------
+        SessionFit
+            The fit.
+        """
         return SessionFit.of(
             self.session, replace(self.whitening, noise_ratio=ratio), self.expected)
 
     def noise(self, exposure: float = 0.0) -> Noise:
-        """D and σ of a fit with its noise ratio at the maximum, for an `exposure` [s] per frame.
+        """Return D and σ of a fit whose noise ratio is at its maximum.
 
-        Standard deviations by the curvature of ℓ_R in log(σ²/D + h/3), by differences.
+        Standard deviations follow from the curvature of ℓ_R in log(σ²/D + h/3), by differences.
+
+        Parameters
+        ----------
+        exposure : float, optional
+            Exposure per frame [s].
+
+        Returns
+        -------
+        Noise
+            With standard deviations.
         """
         step, total = 0.05, self.whitening.noise_ratio + self.session.interval / 3
         lower, upper = (
@@ -365,23 +515,32 @@ class SessionFit:
         slope = math.log(upper.diffusion / lower.diffusion) / (2 * step)
         known, left = 2 / self.degrees_of_freedom, self.whitening.noise_ratio + exposure / 3
         reading = max(left, 0.0) * self.diffusion
-        # d σ²/d log D = σ², and d σ²/d log(σ²/D + h/3) = D (σ²/D + h/3) besides.
+        # d σ²/d log D = σ² and d σ²/d log(σ²/D + h/3) = D (σ²/D + h/3).
         reading_std = math.sqrt(
             reading**2 * known + variance * (reading * slope + total * self.diffusion) ** 2)
         localisation = math.sqrt(reading)
         return Noise(
             self.diffusion, localisation, exposure,
             self.diffusion * math.sqrt(known + slope**2 * variance),
-            # σ/2 times the relative spread of σ² where that is small, its root where σ² drowns.
+            # σ/2 times the relative spread of σ² if small; its root if σ² is not significant.
             math.sqrt(reading + reading_std) - localisation)
 
 
 def search_noise_ratio(fit: SessionFit, near: bool = False) -> Iterator[SessionFit | None]:
-    """The maximum of ℓ_R over the noise ratio, from a `fit` with any, an evaluation at a time.
+    """Maximise ℓ_R over the noise ratio, in log(σ²/D + h/3), one evaluation at a time.
 
-    In log(σ²/D + h/3), as `climb` finds it: uphill from the ratio of the `fit` where the maximum
-    is `near`. Yields None after each evaluation, so that a caller with frames to serve can spread
-    the work; last the SessionFit.
+    Parameters
+    ----------
+    fit : SessionFit
+        Fit with any noise ratio.
+    near : bool, optional
+        Whether the maximum is near the ratio of `fit`, from which the search then climbs.
+
+    Yields
+    ------
+    SessionFit or None
+        None after every evaluation, so that a caller with frames to serve can distribute the work;
+        the fit at last.
     """
     h = fit.session.interval
 
@@ -396,10 +555,21 @@ def search_noise_ratio(fit: SessionFit, near: bool = False) -> Iterator[SessionF
 
 def climb(at: Callable[[float], SessionFit], low: float, high: float,
           near: float | None = None) -> Iterator[SessionFit | None]:
-    """The maximum of ℓ_R between `low` and `high`, `at` which there are fits.
+    """Maximise ℓ_R over one coordinate, by golden section and then a parabola.
 
-    By golden section, then a parabola. Where the maximum should be `near` a coordinate, it is
-    enclosed first, in steps that triple. Yields None after each evaluation; last the fit.
+    Parameters
+    ----------
+    at : callable
+        Fit at a coordinate.
+    low, high : float
+        Bounds of the coordinate.
+    near : float, optional
+        Coordinate near the maximum, which is then bracketed first, in steps that triple.
+
+    Yields
+    ------
+    SessionFit or None
+        None after every evaluation; the fit at the maximum at last.
     """
     known: dict[float, float] = {}
 
@@ -444,23 +614,42 @@ def climb(at: Callable[[float], SessionFit], low: float, high: float,
 
 
 def _columns(session: PreparedSession, expected: ExpectedDisplacement) -> np.ndarray:
-    """The data of a `session` less the offset, and the columns along and across (T, N, 3)."""
+    """Return the data less the offset, and the columns along and across (T, N, 3)."""
     return np.stack([session.z - expected.offset, *(
         np.broadcast_to(column, session.z.shape) for column in (expected.along, expected.across))],
         axis=-1)
 
 
 def inner(columns: np.ndarray) -> np.ndarray:
-    """Real inner products (N, M, M) of complex `columns` (T, N, M), by track."""
+    """Return real inner products of complex columns, by track.
+
+    Parameters
+    ----------
+    columns : ndarray of complex, shape (T, N, M)
+        The columns.
+
+    Returns
+    -------
+    ndarray, shape (N, M, M)
+        Inner products.
+    """
     real = np.ascontiguousarray(columns.transpose(1, 2, 0)).view(float)
     product: np.ndarray = real @ real.transpose(0, 2, 1)
     return product
 
 
 def eliminate(gram: np.ndarray) -> np.ndarray:
-    """What of a `gram` (P, M, M) is left of columns 0, 3, 4, … once 1 and 2 are projected off.
+    """Project columns 1 and 2 off the others.
 
-    Inner products (P, M−2, M−2).
+    Parameters
+    ----------
+    gram : ndarray, shape (P, M, M)
+        Inner products, by track.
+
+    Returns
+    -------
+    ndarray, shape (P, M − 2, M − 2)
+        Inner products of the rest of columns 0, 3, 4, ….
     """
     rest = [0, *range(3, gram.shape[-1])]
     mixed = gram[:, 1:3, rest]
@@ -470,10 +659,21 @@ def eliminate(gram: np.ndarray) -> np.ndarray:
 
 
 def eliminate_shared(gram: np.ndarray, count: int) -> np.ndarray:
-    """What of a `gram` (M, M) is left of column 0 and those after `count` shared parameters.
+    """Project columns 1 to `count`, of parameters shared by all tracks, off the others.
 
-    These, columns 1 to `count`, are projected off: inner products (M − count, M − count). What
-    does nothing, as a spot that no particle came near, takes nothing with it.
+    A parameter without effect, as of a spot that no particle came near, is ignored.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (M, M)
+        Inner products.
+    count : int
+        Number of shared parameters.
+
+    Returns
+    -------
+    ndarray, shape (M − count, M − count)
+        Inner products of the rest of column 0 and of those after `count`.
     """
     own = 1 + np.flatnonzero(np.diagonal(gram)[1:1 + count] > VANISHING)
     rest = [0, *range(1 + count, len(gram))]
@@ -486,7 +686,20 @@ def eliminate_shared(gram: np.ndarray, count: int) -> np.ndarray:
 
 
 def solve(square: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """x of `square` (N, 2, 2) · x = `right` (N, 2, M); zero where nothing is to be solved."""
+    """Solve 2 × 2 systems.
+
+    Parameters
+    ----------
+    square : ndarray, shape (N, 2, 2)
+        Matrices.
+    right : ndarray, shape (N, 2, M)
+        Right-hand sides.
+
+    Returns
+    -------
+    ndarray, shape (N, 2, M)
+        Solutions; 0 for a matrix of zeros.
+    """
     power = np.trace(square, axis1=1, axis2=2)[:, None, None]
     safe = square + np.where(power > 0, 1e-12 * power, 1.0) * np.eye(2)
     solved: np.ndarray = np.linalg.solve(safe, right)

@@ -1,7 +1,7 @@
-"""The inner loops over frames, compiled: whitening and filtering. Imported when they are needed.
+"""Compiled loops over frames: whitening and filtering. Imported only where needed.
 
-All take D = 1: `noise_ratio` [s] is σ²/D less a third of the exposure (see `noise`). Loops where
-slices would do, which take seconds longer to compile.
+All assume D = 1: `noise_ratio` [s] is σ²/D less a third of the exposure (see `noise`). They use
+loops instead of slices, which take seconds longer to compile.
 """
 
 from __future__ import annotations
@@ -15,17 +15,33 @@ from microbot_ros.common.compiled import numba
 from microbot_ros.model.physics.alignment_kernel import given
 
 _ROWS = (given(types.float64, 1, 'C'), given(types.int64, 2, 'C'))
+"""Types of `times` and `pieces`."""
 
 
 @numba.njit([(*_ROWS, given(kind, 3, 'C'), types.float64)
              for kind in (types.complex128, types.float64)], cache=True)
 def whiten_columns(times, pieces, columns, noise_ratio):  # type: ignore[no-untyped-def]
-    """White increments of `columns` (T, N, M), of unit variance per axis, by the local-level gain.
+    """Whiten columns by the gain of the local-level model.
 
-    `times` (T,) [s], `noise_ratio` [s]; `pieces` (T, N): the piece of a track that each row
-    belongs to, 0 where it is not used. Such rows, and the first of every piece, come out as
-    zeros. Also Σ log variance of one axis, which for complex columns is ½ log det over both, and
-    the number of rows used.
+    Parameters
+    ----------
+    times : ndarray, shape (T,)
+        Times of the frames [s].
+    pieces : ndarray of int, shape (T, N)
+        Piece of the track that each row belongs to; 0 for unused rows.
+    columns : ndarray, shape (T, N, M)
+        Real or complex positions or displacements.
+    noise_ratio : float
+        σ²/D less a third of the exposure [s].
+
+    Returns
+    -------
+    out : ndarray, shape (T, N, M)
+        Increments of unit variance per axis; 0 in unused rows and the first row of each piece.
+    log_det : float
+        Σ log variance of one axis; for complex columns ½ log det over both axes.
+    used : int
+        Rows used.
     """
     frames, tracks, count = columns.shape
     out = np.zeros_like(columns)
@@ -59,10 +75,25 @@ def whiten_columns(times, pieces, columns, noise_ratio):  # type: ignore[no-unty
 
 @numba.njit(cache=True)
 def whitened_products(times, pieces, z, offset, along, noise_ratio):  # type: ignore[no-untyped-def]
-    """Real inner products (N, 3, 3) of `z` − `offset`, `along` and i·`along` (T, 1 or N), white.
+    """Return inner products of whitened data and columns, without storing these.
 
-    `times`, `pieces` and `noise_ratio`, ½ log det and the rows used as in `whiten_columns`, whose
-    columns need not be kept for these.
+    Parameters
+    ----------
+    times, pieces, noise_ratio
+        As for `whiten_columns`.
+    z : ndarray of complex, shape (T, N)
+        Positions [m].
+    offset, along : ndarray of complex, shape (T, 1 or N)
+        Displacement by drift [m], and per unit v e^{iφ} [s].
+
+    Returns
+    -------
+    products : ndarray, shape (N, 3, 3)
+        Real inner products of `z` − `offset`, `along` and i·`along`.
+    log_det : float
+        ½ log det over both axes.
+    used : int
+        Rows used.
     """
     frames, tracks = z.shape
     products, log_det, used = np.zeros((tracks, 3, 3)), 0.0, 0
@@ -107,9 +138,21 @@ def whitened_products(times, pieces, z, offset, along, noise_ratio):  # type: ig
 @numba.njit([(given(types.complex128, 3, 'C'), given(types.complex128, 3, 'C'), types.float64)],
       cache=True)
 def joint_products(white, others, scale):  # type: ignore[no-untyped-def]
-    """Real inner products (N, L + M, L + M) of `white` (T, N, L) times a `scale` and `others`.
+    """Return inner products of two groups of whitened columns together.
 
-    Those (T, N, M) are taken as they are.
+    Parameters
+    ----------
+    white : ndarray of complex, shape (T, N, L)
+        First columns.
+    others : ndarray of complex, shape (T, N, M)
+        Further columns.
+    scale : float
+        Factor on the first columns.
+
+    Returns
+    -------
+    ndarray, shape (N, L + M, L + M)
+        Real inner products, by track.
     """
     frames, tracks, count = white.shape
     total = count + others.shape[2]
@@ -132,13 +175,15 @@ def joint_products(white, others, scale):  # type: ignore[no-untyped-def]
 
 
 FOLLOWED = 1e-12
-"""Part of the largest step below which what a filter has not yet followed of one is nothing."""
+"""Fraction of the largest step below which the unfiltered rest of a step counts as 0.
+
+Choice: far above rounding, far below any effect on a product.
+"""
 
 
 @numba.njit(cache=True)
 def _steps_of_row(left, active, number, knots, moved):  # type: ignore[no-untyped-def]
-    """Add to what is `left` of each knot what the next interval has `moved`; how many are active.
-    """
+    """Add what the next interval has `moved` to each knot; return how many knots are active."""
     for j in range(len(knots)):
         m = knots[j]
         if moved[j] != 0:
@@ -154,7 +199,7 @@ def _steps_of_row(left, active, number, knots, moved):  # type: ignore[no-untype
 
 @numba.njit(cache=True)
 def _add_products(gram, known, left, active, scale):  # type: ignore[no-untyped-def]
-    """Add the products of one row, below the diagonal: what is `known`, then `active` knots."""
+    """Add the products of one row, below the diagonal: `known` columns, then `active` knots."""
     first = len(known)
     for a in range(first):
         for b in range(a + 1):
@@ -173,11 +218,30 @@ def _add_products(gram, known, left, active, scale):  # type: ignore[no-untyped-
 @numba.njit(cache=True)
 def knot_products(  # type: ignore[no-untyped-def]
         times, pieces, known, starts, knots, moved, count, folds, parts, noise_ratio):
-    """Real inner products (`parts`, L + `count`, L + `count`) of `known` and knots, white.
+    """Return inner products of known columns and knots for one track, whitened.
 
-    Of one track: `times` and `pieces` (T,) and `noise_ratio` as in `whiten_columns`; `known`
-    (T, L) is white already. The interval after row k has `moved` `knots` as told from
-    `starts`[k] to `starts`[k + 1]. Rows go to one of the `parts` by `folds` (T,).
+    Parameters
+    ----------
+    times, noise_ratio
+        As for `whiten_columns`.
+    pieces : ndarray of int, shape (T,)
+        Piece of the track that each row belongs to; 0 for unused rows.
+    known : ndarray of complex, shape (T, L)
+        Columns that are whitened already.
+    starts, knots, moved : ndarray
+        Displacements in sparse rows: in the interval after row k, `knots[starts[k]:starts[k + 1]]`
+        are `moved`.
+    count : int
+        Number of knots.
+    folds : ndarray of int, shape (T,)
+        Fold of each row.
+    parts : int
+        Number of folds.
+
+    Returns
+    -------
+    ndarray, shape (parts, L + count, L + count)
+        Real inner products, by fold.
     """
     first = known.shape[1]
     out = np.zeros((parts, first + count, first + count))
@@ -218,10 +282,19 @@ def knot_products(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def filter_positions(times, pieces, positions, noise_ratio):  # type: ignore[no-untyped-def]
-    """Means (T, N) of the local-level filter of `positions` (T, N) complex after every frame.
+    """Filter positions with the local-level model.
 
-    `times` (T,) [s], `pieces` (T, N), with each of which it begins anew, `noise_ratio` [s]. Rows
-    before the first piece are NaN; unused ones keep the last mean.
+    Parameters
+    ----------
+    times, pieces, noise_ratio
+        As for `whiten_columns`. The filter restarts with every piece.
+    positions : ndarray of complex, shape (T, N)
+        Positions [m].
+
+    Returns
+    -------
+    ndarray of complex, shape (T, N)
+        Means after every frame [m]. NaN before the first piece; the last mean in unused rows.
     """
     out = np.full(positions.shape, np.nan + 0j)
     for n in range(positions.shape[1]):
@@ -245,7 +318,7 @@ def filter_positions(times, pieces, positions, noise_ratio):  # type: ignore[no-
 
 @numba.njit(cache=True)
 def _stationary_variance(diffusion_ratio, times, retention, k, n):  # type: ignore[no-untyped-def]
-    """Variance of a heading that the field has long held."""
+    """Return the variance of a heading that the field has held for long."""
     k = min(k, len(retention) - 1)
     q = min(retention[k, n], 0.999)
     if q <= 0:
@@ -255,9 +328,9 @@ def _stationary_variance(diffusion_ratio, times, retention, k, n):  # type: igno
 
 @numba.njit(cache=True)
 def _heading_noise(h, diffusion_ratio, retention):  # type: ignore[no-untyped-def]
-    """What noise in the heading adds over an interval h: an Ornstein–Uhlenbeck process.
+    """Return what noise of the heading adds in an interval h: an Ornstein–Uhlenbeck process.
 
-    The velocity per sensitivity, and the variance of its integral, their covariance, the variance
+    The velocity per sensitivity, the variance of its integral, their covariance, and the variance
     of the heading.
     """
     if retention < 1e-9:
@@ -275,7 +348,7 @@ def _heading_noise(h, diffusion_ratio, retention):  # type: ignore[no-untyped-de
 
 @numba.njit(cache=True)
 def _heading_noises(times, diffusion_ratio, retention):  # type: ignore[no-untyped-def]
-    """`_heading_noise` (T−1, 4) of every frame interval, for the first particle."""
+    """Return `_heading_noise` (T − 1, 4) of every frame interval, for the first particle."""
     out = np.empty((len(times) - 1, 4))
     for k in range(len(out)):
         out[k] = _heading_noise(times[k + 1] - times[k], diffusion_ratio, retention[k, 0])
@@ -283,18 +356,18 @@ def _heading_noises(times, diffusion_ratio, retention):  # type: ignore[no-untyp
 
 
 NEGLIGIBLE = 1e-12
-"""Covariance of x and y, relative to their variances, that is none."""
+"""Covariance of x and y, relative to variances, that counts as 0. Choice: rounding errors."""
 
 
 @numba.njit(cache=True)
 def _ahead(covariance, h, noise, wander, kick, stride, b, q):  # type: ignore[no-untyped-def]
-    """The covariance of place and deviations an interval h later.
+    """Return the covariance of place and deviations an interval h later.
 
-    `covariance` is (xx, xy, yy, xa, ya, aa, xb, yb, ab, bb): place (x, y), the deviation a that
-    acts along the sensitivity `b`, and the deviation b that acts across it. `q`: retention of
-    both; `noise` of a as `_heading_noise` has it, that of b is `wander` times as large; `kick`:
-    the variance of what moves the place besides; `stride` (complex): the standard deviation and
-    direction of what moves it along one way.
+    `covariance` is (xx, xy, yy, xa, ya, aa, xb, yb, ab, bb): place (x, y), deviation a along the
+    sensitivity `b`, and deviation b across it. `q` is the retention of both. `noise` of a is from
+    `_heading_noise`; that of b is `wander` times as large. `kick` is the variance that moves the
+    place besides; `stride` (complex) the standard deviation and direction of a step along the
+    path.
     """
     xx, xy, yy, xa, ya, aa, xb, yb, ab, bb = covariance
     side, spread, mixed, turned = noise
@@ -325,10 +398,11 @@ def _ahead(covariance, h, noise, wander, kick, stride, b, q):  # type: ignore[no
 
 @numba.njit(cache=True)
 def _seen(covariance, ratio_x, ratio_y, swing):  # type: ignore[no-untyped-def]
-    """The covariance after a reading, the gains (xx, xy, yx, yy, ax, ay, bx, by), how to make the
-    innovation white (scale of x, lean, scale of y), and the determinant of its covariance.
+    """Return the covariance after a reading, with gains and the scale of the innovation.
 
-    A reading has the variances `ratio_x` and `ratio_y`, and that of the complex `swing` along it.
+    The gains are (xx, xy, yx, yy, ax, ay, bx, by). The innovation becomes white by (scale of x,
+    lean, scale of y). The last value is the determinant of its covariance. A reading has the
+    variances `ratio_x` and `ratio_y`, plus that of the complex `swing` in its direction.
     """
     xx, xy, yy, xa, ya, aa, xb, yb, ab, bb = covariance
     if swing != 0:
@@ -362,9 +436,9 @@ def _seen(covariance, ratio_x, ratio_y, swing):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _begun(ratio_x, ratio_y, swing, turned, wander):  # type: ignore[no-untyped-def]
-    """The covariance after the first reading of a piece.
+    """Return the covariance after the first reading of a piece.
 
-    `turned`: the variance of the deviation a; that of b is `wander` times as large.
+    `turned` is the variance of deviation a; that of b is `wander` times as large.
     """
     return (ratio_x + swing.real * swing.real, swing.real * swing.imag,
             ratio_y + swing.imag * swing.imag, 0.0, 0.0, turned, 0.0, 0.0, 0.0, wander * turned)
@@ -374,10 +448,10 @@ def _begun(ratio_x, ratio_y, swing, turned, wander):  # type: ignore[no-untyped-
 def _carry(  # type: ignore[no-untyped-def]
         covariance, place, turn, k, n, times, noises, diffusion_ratio, sensitivity, retention,
         wander, kick, stride):
-    """The covariance at row k of track n, an interval later.
+    """Return the covariance at row k of track n, an interval later.
 
-    `place` and `turn` (M,) are changed: `turn` has the deviation along the sensitivity as its
-    real part, that across it as its imaginary part.
+    Changes `place` and `turn` (M,). The real part of `turn` is the deviation along the
+    sensitivity, its imaginary part that across it.
     """
     b, q = sensitivity[k - 1, n], retention[k - 1, n]
     h = times[k] - times[k - 1]
@@ -392,7 +466,7 @@ def _carry(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _taken(place, turn, m, new, gains):  # type: ignore[no-untyped-def]
-    """Correct `place` and `turn` of column m by its `new` value; the difference along x and y."""
+    """Correct `place` and `turn` of column m by its `new` value; return the innovation."""
     gxx, gxy, gyx, gyy, gax, gay, gbx, gby = gains
     step = new - place[m]
     i, j = step.real, step.imag
@@ -403,9 +477,9 @@ def _taken(place, turn, m, new, gains):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _logged(log_det, product):  # type: ignore[no-untyped-def]
-    """½ log det so far, and the `product` of determinants that is not in it yet.
+    """Return ½ log det so far, and the `product` of determinants that it lacks.
 
-    One logarithm for many, for it costs as much as all the rest.
+    One logarithm for many, since it costs as much as all the rest.
     """
     if 1e-150 < product < 1e150:
         return log_det, product
@@ -420,18 +494,42 @@ def _logged(log_det, product):  # type: ignore[no-untyped-def]
 def whiten_with_heading(  # type: ignore[no-untyped-def]
         times, pieces, columns, ratio_x, ratio_y, diffusion_ratio, sensitivity, retention,
         swing, wander, kick, stride):
-    """White increments of complex `columns` (T, N, M) where headings are noisy as well.
+    """Whiten columns where headings have noise as well.
 
-    `times` and `pieces` as in `whiten_columns`; `ratio_x`, `ratio_y`: the `noise_ratio` [s] of
-    either axis; `diffusion_ratio` = D_r/D [rad²/m²]; `sensitivity` (T−1, N) complex: displacement
-    over a frame interval per radian at its start; `retention` (T−1, N): the part of a deviation
-    left at its end; `swing` (T, N) complex, in square roots of `ratio_x`: the standard deviation
-    and the direction in which readings scatter besides; `wander`: variance of a deviation that
-    acts across the sensitivity, over that of the one along it; `kick` (T−1, N) [s]: variance
-    that an interval adds to either axis besides 2h, in units of D; `stride` (T−1, N) complex, as
-    `swing`: what it adds along one way. A Kalman filter over place (x, y) and both deviations
-    (a, b), whose covariance is kept as ten scalars; real and imaginary parts of the result are
-    independent. Also ½ log det of the innovations over both axes, and rows used.
+    A Kalman filter of place (x, y) and two deviations (a, b), whose covariance is kept as ten
+    scalars.
+
+    Parameters
+    ----------
+    times, pieces
+        As for `whiten_columns`.
+    columns : ndarray of complex, shape (T, N, M)
+        Positions or displacements [m].
+    ratio_x, ratio_y : float
+        Noise ratio of either axis [s].
+    diffusion_ratio : float
+        D_r/D [rad²/m²].
+    sensitivity : ndarray of complex, shape (T − 1, N)
+        Displacement in an interval per radian at its start [m/rad].
+    retention : ndarray, shape (T − 1, N)
+        Fraction of a deviation that remains at the end of an interval.
+    swing : ndarray of complex, shape (T, N)
+        Standard deviation and direction of additional scatter of readings [√s].
+    wander : float
+        Variance of the deviation across the sensitivity over that along it.
+    kick : ndarray, shape (T − 1, N)
+        Variance that an interval adds to either axis besides 2h, in units of D [s].
+    stride : ndarray of complex, shape (T − 1, N)
+        Standard deviation and direction of what an interval adds along the path [√s].
+
+    Returns
+    -------
+    out : ndarray of complex, shape (T, N, M)
+        Increments whose real and imaginary parts are independent, of unit variance.
+    log_det : float
+        ½ log det of the innovations over both axes.
+    used : int
+        Rows used.
     """
     T, N, M = columns.shape
     out = np.zeros((T, N, M), np.complex128)
@@ -468,11 +566,23 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
 def whitened_products_with_heading(  # type: ignore[no-untyped-def]
         times, pieces, z, offset, along, noise_ratio, diffusion_ratio, sensitivity, retention,
         swing, wander, kick, stride):
-    """`whitened_products` where headings are noisy as well.
+    """Return inner products as `whitened_products` where headings have noise as well.
 
-    `times`, `pieces`, `z`, `offset`, `along` and `noise_ratio` as there; `diffusion_ratio`,
-    `sensitivity`, `retention`, `swing`, `wander`, `kick` and `stride` as
-    in `whiten_with_heading`.
+    Parameters
+    ----------
+    times, pieces, z, offset, along, noise_ratio
+        As for `whitened_products`.
+    diffusion_ratio, sensitivity, retention, swing, wander, kick, stride
+        As for `whiten_with_heading`.
+
+    Returns
+    -------
+    products : ndarray, shape (N, 3, 3)
+        Real inner products of `z` − `offset`, `along` and i·`along`.
+    log_det : float
+        ½ log det over both axes.
+    used : int
+        Rows used.
     """
     T, N = z.shape
     products, log_det, used, product = np.zeros((N, 3, 3)), 0.0, 0, 1.0
@@ -517,11 +627,21 @@ def whitened_products_with_heading(  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def filter_headings(  # type: ignore[no-untyped-def]
         times, pieces, left, noise_ratio, diffusion_ratio, sensitivity, retention):
-    """Deviations (T, N) [rad] of headings from those of a model, from rows so far.
+    """Estimate the deviations of headings from those of a model, from the rows so far.
 
-    `left` (T, N) complex [m]: positions less what the model expects. `times`, `pieces`,
-    `noise_ratio`, `diffusion_ratio`, `sensitivity` and `retention` as in
-    `whitened_products_with_heading`. Zero where a row is not used.
+    Parameters
+    ----------
+    times, pieces, noise_ratio
+        As for `whiten_columns`.
+    left : ndarray of complex, shape (T, N)
+        Positions less what the model expects [m].
+    diffusion_ratio, sensitivity, retention
+        As for `whiten_with_heading`.
+
+    Returns
+    -------
+    ndarray, shape (T, N)
+        Deviations [rad]; 0 in unused rows.
     """
     T, N = left.shape
     out = np.zeros((T, N))

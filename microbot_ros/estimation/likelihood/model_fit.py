@@ -1,4 +1,4 @@
-"""A model on sessions: its effects and every session's noise at the maximum of the likelihood."""
+"""Fit of a model to sessions: effects and the noise of every session at the maximum likelihood."""
 
 from __future__ import annotations
 
@@ -31,65 +31,94 @@ from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
 
 ROUNDS = 8
-"""Turns in which effects and noise are fitted, at most."""
+"""Maximum number of rounds in which effects and noise are fitted in turn.
 
-SETTLED = 0.05
-"""Relative change of an alignment time with which the rows that it can explain hardly change."""
-
-ENOUGH = 0.01
-"""Gain in −2 log likelihood that ends a search: a tenth of a standard deviation is left."""
-
-SURE = 0.1
-"""Part of what is enough by which a gain may differ from the one foretold, to be the last."""
-
-NEGLIGIBLE = 1e-4
-"""Gain in −2 log likelihood that no step is tried for: a hundredth of a standard deviation."""
-
-TURNING = math.log(1e-5), math.log(10.0)
-"""Between what rotational diffusion [rad²/s] is looked for where nothing tells it, logarithms."""
-
-SHORTEST, LONGEST, PART = 2.0, 5.0, 0.05
-"""Between what the correlation time of speeds is looked for: so many frame intervals, seconds [s],
-and no more than this part of the recording. What lasts longer is a trend, which has other names.
+Choice: a few suffice; it bounds the time where they converge slowly.
 """
 
+SETTLED = 0.05
+"""Relative change of an alignment time below which the rows that it explains hardly change.
+
+Choice: a smaller value costs fits.
+"""
+
+ENOUGH = 0.01
+"""Gain in −2 log likelihood at which a search ends: 0.1 standard deviations remain.
+
+Choice: far below any threshold of evidence; a smaller value costs steps.
+"""
+
+SURE = 0.1
+"""Fraction of ENOUGH by which a gain may differ from the predicted one for the step to be the
+last.
+
+Choice: the parabola then holds, and the next step would gain as little."""
+
+NEGLIGIBLE = 1e-4
+"""Predicted gain in −2 log likelihood for which no step is made.
+
+Choice: 0.01 standard deviations of a parameter.
+"""
+
+TURNING = math.log(1e-5), math.log(10.0)
+"""Logarithms of the bounds of rotational diffusion [rad²/s] where it is unknown.
+
+Choice: spheres in water have these at radii of 25 and 0.25 µm.
+"""
+
+SHORTEST, LONGEST, PART = 2.0, 5.0, 0.05
+"""Bounds of the correlation time of speeds: at least this many frame intervals, at most `LONGEST`
+seconds, and at most the fraction `PART` of the recording.
+
+Choice: what lasts longer is a trend, which has other names."""
+
 LEAST = 0.01
-"""Strength of a fluctuation that is none: a share of the speed, or of a frame interval [s]; and of
-the wander over it, or of a swing. A choice: with half or twice of it nothing changes by 0.1."""
+"""Smallest strength of a fluctuation: a fraction of the speed, or of a frame interval [s]; and of
+the wander over it, or of a swing.
+
+Choice: with half or twice of it the log likelihood changes by less than 0.1."""
 
 WIDEST = 1e9
-"""Largest over smallest variance of a kind of noise: far beyond what is found."""
+"""Ratio of the largest to the smallest variance of a kind of noise.
+
+Choice: far beyond any result.
+"""
 
 STARTS = 0.2, 2.0
-"""Correlation times [s] from which it is looked for."""
+"""Correlation times [s] from which the search starts. Choice: either side of usual ones."""
 
 BEYOND = 10.0
-"""Gain in −2 log likelihood, over that of the Bayesian information criterion, from which speeds
-are said to fluctuate: odds of 150."""
+"""Gain in −2 log likelihood, beyond the Bayesian information criterion, for speeds to fluctuate.
+
+Choice: odds of 150. A smaller value slows searches of steady sessions.
+"""
 
 BY_CHANCE = 0.01
-"""Chance per session of a cut where nothing but noise is."""
+"""Probability per session of a cut where only noise is present.
+
+Choice: cuts lose hardly any data.
+"""
 
 MOVES = 1e-12
-"""Displacement between frames [m] that is none."""
+"""Displacement [m] between frames that counts as none. Choice: far below localisation errors."""
 
 COLLINEAR = 1e-7
-"""Part of a column's power below which v and φ absorb it."""
+"""Fraction of a column's power below which v and φ absorb it. Choice: above rounding errors."""
 
 NOTHING = 1e-30
-"""Information about a parameter, in fit coordinates, that is none."""
+"""Information on a parameter, in fit coordinates, that counts as none. Choice: avoids overflow."""
 
 
 @dataclass(frozen=True)
 class ModelFit:
-    """A `model` on all sessions together: `session_fits`, each with its own noise."""
+    """Fit of a `model` to all sessions together: `session_fits`, each with its own noise."""
 
     model: Model
     session_fits: tuple[SessionFit, ...]
 
     @cached_property
     def log_likelihood(self) -> float:
-        """Of all sessions."""
+        """Log likelihood of all sessions."""
         return sum(p.log_likelihood for p in self.session_fits)
 
     @property
@@ -99,28 +128,39 @@ class ModelFit:
 
     @cached_property
     def price_of_turning(self) -> float:
-        """What fitting the rotational diffusion D_r of sessions costs, in log odds.
+        """Cost in log odds of fitting the rotational diffusion D_r of sessions; 0 if known.
 
-        0 where it is known. The prior of log D_r is flat over TURNING, and the peak of the
-        likelihood has a standard deviation s: log(range/(√(2π) s)).
+        The prior of log D_r is flat over TURNING, and the peak of the likelihood has a standard
+        deviation s: log(range/(√(2π) s)).
         """
         return sum(map(_price_of_turning, self.session_fits))
 
     @property
     def count(self) -> int:
-        """Numbers that were measured: two for every row used."""
+        """Number of measured coordinates: two for every row used."""
         return 2 * sum(p.count for p in self.session_fits)
 
     def under(self, model: Model) -> ModelFit:
-        """Another `model` with the same noise on the same sessions; nothing is searched."""
+        """Evaluate another model with the same noise on the same sessions.
+
+        Parameters
+        ----------
+        model : Model
+            The other model; its parameters are not fitted.
+
+        Returns
+        -------
+        ModelFit
+            With v, φ and D at their maximum.
+        """
         return evaluate(model, [s.session for s in self.session_fits],
                         [s.whitening for s in self.session_fits])
 
     @cached_property
     def jacobian(self) -> tuple[np.ndarray, ...]:
-        """For each session, white derivatives (T, N, P) of what is expected, in fit coordinates.
+        """Whitened derivatives (T, N, P) of the expected positions by fit coordinates, by session.
 
-        At fixed v and φ, in units of the noise.
+        At constant v and φ, in units of the noise.
         """
         steps = difference_steps(self.model)
         x = self.model.vector()
@@ -138,7 +178,7 @@ class ModelFit:
 
     @cached_property
     def _grams(self) -> tuple[np.ndarray, ...]:
-        """For each session, inner products (N, 3 + P, 3 + P) of data, v and φ, parameters."""
+        """Inner products (N, 3 + P, 3 + P) of data, v and φ, and parameters, by session."""
         from microbot_ros.estimation.likelihood.kernels import joint_products
 
         return tuple(
@@ -146,10 +186,20 @@ class ModelFit:
             for p, jacobian in zip(self.session_fits, self.jacobian, strict=True))
 
     def polars(self, held: int | None = None) -> list[Polar]:
-        """Speed and φ of the particles of every session, as `SessionFit.polar` has them.
+        """Return speed and φ of the particles of every session.
 
-        With what is not known of the effects: v e^{iφ} follows their parameters as least squares
-        has it. All but one that is `held`, by its place in the vector.
+        They include the uncertainty of the effects: v e^{iφ} follows their parameters by least
+        squares.
+
+        Parameters
+        ----------
+        held : int, optional
+            Index of a parameter whose uncertainty is left out.
+
+        Returns
+        -------
+        list of Polar
+            One for each session, as by `SessionFit.polar`.
         """
         free = self.normal[2] & (np.arange(len(self.normal[2])) != held)
         covariance = np.linalg.pinv(self.normal[0][np.ix_(free, free)], hermitian=True)
@@ -165,7 +215,7 @@ class ModelFit:
 
     @cached_property
     def normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """JᵀJ (P, P), Jᵀr (P,) with v and φ taken out, and which parameters they leave visible."""
+        """JᵀJ (P, P) and Jᵀr (P,) with v and φ eliminated, and which parameters remain visible."""
         total = np.zeros((1 + len(self.model.vector()),) * 2)
         raw = np.zeros(len(total))
         for gram in self._grams:
@@ -176,31 +226,28 @@ class ModelFit:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of the effects' parameters in fit coordinates (P, P); infinite where not visible."""
+        """Covariance (P, P) of the effects' parameters in fit coordinates; infinite if unseen."""
         information, _, visible = self.normal
         result = np.diag(np.where(visible, 0.0, np.inf))
         if visible.any():
             chosen = np.ix_(visible, visible)
             result[chosen] = np.linalg.pinv(information[chosen], hermitian=True)
-        # Rounding may give what can hardly be told apart a variance below zero.
+        # Rounding errors may make the variance of nearly collinear parameters negative.
         variance = np.diagonal(result)
         np.fill_diagonal(result, np.where(variance > 0, variance, np.inf))
         return result
 
 
 def _derivative(fit: SessionFit, model: Model, step: float) -> np.ndarray:
-    """What a `model` that is a `step` away moves the tracks further than that of a `fit`.
-
-    (T, N) [m], by the step.
-    """
+    """Return the difference (T, N) [m] of a `model` that is a `step` away, over the step."""
     moved = ExpectedDisplacement.of(model, fit.session.timeline)
     return moved.beyond(fit.expected, fit.velocity_phasor) / step
 
 
 def _constant(model: Model, name: str, parameter: Parameter) -> Hashable:
-    """What the derivative of a strength depends on, if only on little; None if on more.
+    """Return a key of what the derivative of a strength depends on; None if on too much.
 
-    On the shape of its effect, and on what the field and the camera do to it.
+    It depends on the shape of its effect, and on what field and camera do to it.
     """
     effect = model.effect(name)
     if effect is None or not effect.proportional or parameter.shape:
@@ -211,7 +258,18 @@ def _constant(model: Model, name: str, parameter: Parameter) -> Hashable:
 
 
 def difference_steps(model: Model) -> np.ndarray:
-    """Steps of the difference quotients, away from the upper bounds."""
+    """Return the steps of difference quotients.
+
+    Parameters
+    ----------
+    model : Model
+        Model with P parameters.
+
+    Returns
+    -------
+    ndarray, shape (P,)
+        Steps in fit coordinates, away from upper bounds.
+    """
     x = model.vector()
     high = np.array([p.fit_bounds[1] for _, p in model.parameters])
     step = 1e-5 * (1 + np.abs(x))
@@ -220,7 +278,22 @@ def difference_steps(model: Model) -> np.ndarray:
 
 def evaluate(model: Model, sessions: Sequence[PreparedSession],
              whitenings: Sequence[Whitening]) -> ModelFit:
-    """A `model` with its parameters as they are on `sessions` with known `whitenings`."""
+    """Evaluate a model on sessions with known noise.
+
+    Parameters
+    ----------
+    model : Model
+        The model; its parameters are not fitted.
+    sessions : sequence of PreparedSession
+        The sessions.
+    whitenings : sequence of Whitening
+        Noise of each session.
+
+    Returns
+    -------
+    ModelFit
+        With v, φ and D at their maximum.
+    """
     return ModelFit(model, tuple(
         SessionFit.of(session, whitening, ExpectedDisplacement.of(model, session.timeline))
         for session, whitening in zip(sessions, whitenings, strict=True)))
@@ -228,12 +301,27 @@ def evaluate(model: Model, sessions: Sequence[PreparedSession],
 
 def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None,
              enough: float = ENOUGH) -> ModelFit:
-    """Improve a `fit` in its effects' parameters, by Levenberg and Marquardt's method.
+    """Maximise the likelihood over the effects' parameters, by Levenberg and Marquardt's method.
 
-    Within their bounds, in at most that many `iterations`, until one gains less than `enough` in
-    −2 log likelihood, or so much of what the parabola foretold, so that as little is left. Where
-    its vertex is within bounds and gains less than is NEGLIGIBLE, nothing is tried. The noise
-    filters stay as they are, and so does the parameter `held`, by its place in the vector.
+    Parameters stay within their bounds, and the noise filters as they are. The search ends when a
+    step gains less than `enough`, or so nearly what the parabola predicted that as little remains.
+    No step is made if the vertex is within bounds and gains less than NEGLIGIBLE.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit to start from.
+    iterations : int, optional
+        Maximum number of steps.
+    held : int, optional
+        Index of a parameter that stays constant.
+    enough : float, optional
+        Gain in −2 log likelihood that ends the search.
+
+    Returns
+    -------
+    ModelFit
+        The maximum.
     """
     if not fit.model.effects:
         return fit
@@ -255,10 +343,10 @@ def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None,
 
 def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray,
              damping: float) -> tuple[ModelFit | None, float, float]:
-    """One step downhill, or None; the gain foretold; and the damping to go on with.
+    """Return one step downhill or None, the predicted gain, and the next damping.
 
-    Twice as far where that is better still: Gauss and Newton's step falls short where what is
-    left is large and bent.
+    The step is doubled where that is better still: a Gauss–Newton step is too short where
+    residuals are large and curved.
     """
     information, slope, visible = fit.normal
     x = fit.model.vector()
@@ -278,7 +366,7 @@ def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray
 
     step = np.zeros(len(x))
     step[free] = np.linalg.lstsq(information[chosen], slope[free], rcond=1e-14)[0]
-    # At a bound there may be a kink, which no parabola tells of.
+    # At a bound there may be a kink, which a parabola does not show.
     inside = ((x + step > low) & (x + step < high)).all()
     if inside and foretold(step) < NEGLIGIBLE:
         return None, 0.0, damping
@@ -298,10 +386,19 @@ def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray
 
 
 def fit_noise(fit: ModelFit, near: bool = False) -> ModelFit:
-    """The model of a `fit` with every session's noise at its maximum.
+    """Maximise the restricted likelihood over the noise of every session.
 
-    Looked for everywhere, or uphill from what the fit has, where that was fitted to about the
-    same: `near` it.
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit of the model.
+    near : bool, optional
+        Whether the maximum is near the noise of `fit`, from which the search then climbs.
+
+    Returns
+    -------
+    ModelFit
+        The same model with new noise.
     """
     return ModelFit(
         fit.model, tuple(_fit_noise(fit.model, one, near) for one in fit.session_fits))
@@ -332,7 +429,20 @@ def _fit_noise(model: Model, fit: SessionFit, near: bool) -> SessionFit:
 
 
 def fluctuating(fit: SessionFit, time: float) -> Whitening:
-    """The noise of a `fit` where velocities have deviations of correlation time `time` [s]."""
+    """Return the noise of a fit with fluctuating velocities.
+
+    Parameters
+    ----------
+    fit : SessionFit
+        Fit of the session.
+    time : float
+        Correlation time [s].
+
+    Returns
+    -------
+    Whitening
+        Of the same strengths as the fit's.
+    """
     interval = np.diff(fit.session.times)[:, None]
     moved = fit.moved
     retention = np.exp(-interval / time)
@@ -351,11 +461,25 @@ def fluctuating(fit: SessionFit, time: float) -> Whitening:
 
 def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
              best: ModelFit) -> list[PreparedSession] | None:
-    """The `sessions` of a `fit` with speeds that fluctuate in their noise; None if all are steady.
+    """Return sessions whose noise includes fluctuating speeds, where the data support it.
 
-    By the restricted likelihood, a number of the noise for log n each and BEYOND them; also
-    beside that of the `best` fit of steady speeds, whose headings may remember. Tracks are cut at
-    the few steps that stand out then.
+    By the restricted likelihood, with a cost of log n for each parameter of the noise and BEYOND
+    for all. The gain is over the better of both fits. Tracks are cut at the few steps that are
+    outliers then.
+
+    Parameters
+    ----------
+    sessions : sequence of PreparedSession
+        The sessions.
+    fit : ModelFit
+        Fit without effects that give headings a memory.
+    best : ModelFit
+        Best fit of steady speeds, whose headings may have a memory.
+
+    Returns
+    -------
+    list of PreparedSession or None
+        None if all speeds are steady.
     """
     numbers = 6 if fit.model.propulsion == 'rolling' else 5
     restless, fluctuates = [], False
@@ -376,10 +500,22 @@ def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
 
 
 def fit_fluctuation(fit: SessionFit, model: Model) -> SessionFit:
-    """A `fit` of a `model` with the noise of velocities that fluctuate at its maximum.
+    """Fit the noise of a session with fluctuating velocities.
 
-    With that of commands that act early or late, of the swing of rollers, and all other noise.
-    Uphill from what the fit has, or from a few correlation times where its velocities are steady.
+    Commands that act early or late, uneven steps and the swing of rollers are part of it. The
+    search climbs from the noise of the fit, or from STARTS where its velocities are steady.
+
+    Parameters
+    ----------
+    fit : SessionFit
+        Fit of the session.
+    model : Model
+        Its model.
+
+    Returns
+    -------
+    SessionFit
+        The same displacements with new noise.
     """
     from scipy.optimize import minimize
 
@@ -433,16 +569,28 @@ def _price_of_turning(fit: SessionFit) -> float:
 
 
 def _last(search: Iterator[SessionFit | None]) -> SessionFit:
-    """What a search ends with."""
+    """Return the last value of a search."""
     *_, found = search
     assert found is not None
     return found
 
 
 def remembers(model: Model, session: PreparedSession) -> bool:
-    """Whether under a `model` what noise does to a heading is still there at the next frame.
+    """Return whether noise of a heading persists to the next frame.
 
-    As under a lag, and while a `session` has no field.
+    It does under a lag, and while a session of swimmers has no field.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    session : PreparedSession
+        The session.
+
+    Returns
+    -------
+    bool
+        Whether the noise filter needs the heading.
     """
     if model.lags:
         return True
@@ -454,7 +602,22 @@ def remembers(model: Model, session: PreparedSession) -> bool:
 
 
 def whitening_on(model: Model, known: SessionFit, session: PreparedSession) -> Whitening:
-    """The noise of a `known` fit of a `model`, for another `session` of the same particles."""
+    """Return the noise of a fit for another session of the same particles.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the fit.
+    known : SessionFit
+        The fit.
+    session : PreparedSession
+        The other session.
+
+    Returns
+    -------
+    Whitening
+        The noise.
+    """
     if known.whitening.fluctuation is not None:
         expected = ExpectedDisplacement.of(model, session.timeline)
         return fluctuating(replace(known, session=session, expected=expected),
@@ -467,7 +630,7 @@ def whitening_on(model: Model, known: SessionFit, session: PreparedSession) -> W
 
 def _heading_noise(model: Model, session: PreparedSession,
                    velocity_phasor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sensitivity and retention of headings over every frame interval: (T−1, N) each."""
+    """Return sensitivity and retention of headings (T − 1, N) in every frame interval."""
     particles = ParticleParameters.from_velocity_phasor(session.ids, velocity_phasor)
     response = heading_response(model, particles, session.timeline)
     x, y = np.moveaxis(response.heading_sensitivity, -1, 0)
@@ -480,9 +643,20 @@ def _heading_noise(model: Model, session: PreparedSession,
 
 
 def fit_with_noise(fit: ModelFit) -> ModelFit:
-    """Effects and noise together at their maximum, from a `fit`: in turns, until neither gains.
+    """Maximise the likelihood over effects and noise together, in turns.
 
-    Noise is taken to be near that of the fit, but where headings remember it that did not.
+    The noise is searched near that of the fit, except where headings have a memory now and had
+    none.
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Fit to start from.
+
+    Returns
+    -------
+    ModelFit
+        The maximum.
     """
     lags = fit.model.lags
     fit = fit_noise(fit if lags else maximise(fit), near=True)
@@ -500,10 +674,21 @@ def fit_with_noise(fit: ModelFit) -> ModelFit:
 
 
 def fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit:
-    """A `model` fitted to what of prepared `sessions` it can explain.
+    """Fit a model to the rows of sessions that it can explain.
 
-    Effects start from where the model has them. Positions that terms depend on are those that a
-    filter under the model believes.
+    Positions that effects depend on are those of a filter under the model.
+
+    Parameters
+    ----------
+    model : Model
+        Model whose parameters the fit starts from.
+    sessions : sequence of PreparedSession
+        The sessions.
+
+    Returns
+    -------
+    ModelFit
+        The maximum.
     """
     fit = _fit_sessions(model, sessions)
     for _ in range(ROUNDS):
@@ -516,10 +701,10 @@ def fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit:
 
 
 def _fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit:
-    """Fit a `model` to the rows of `sessions` that it can explain, as it was and as it is then."""
+    """Fit a `model` to the rows that it can explain, before and after the fit."""
     fit = _fit_predictable(model, sessions, [ROTATIONAL_DIFFUSION] * len(sessions))
     if fit.model.lags:
-        # What a lag can explain depends on how noisy headings are, too.
+        # The rows that a lag can explain also depend on the noise of headings.
         fit = _fit_predictable(fit.model, sessions, [
             s.whitening.diffusion_ratio * s.diffusion for s in fit.session_fits])
     located = [
@@ -532,9 +717,9 @@ def _fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit
 
 def _fit_predictable(model: Model, sessions: Sequence[PreparedSession],
                      turning: Sequence[float]) -> ModelFit:
-    """A `model` at the positions as they are, whose headings diffuse by `turning` [rad²/s].
+    """Fit a `model` at raw positions, with headings that diffuse by `turning` [rad²/s].
 
-    Without terms that were learned: they may ask for φ, which nobody knows yet.
+    Without learned terms: these may need φ, which is not known yet.
     """
     parts = [predictable_part(session, model, one)
              for session, one in zip(sessions, turning, strict=True)]

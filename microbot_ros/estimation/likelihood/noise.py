@@ -1,15 +1,15 @@
-"""What diffusion, localisation error and exposure do to tracks, and how to undo it exactly.
+"""Noise of tracks by diffusion, localisation error and exposure, and its exact whitening.
 
-A particle diffuses with D; each position is read with a standard deviation σ per axis, from an
+A particle diffuses with D. Each position is read with a standard deviation σ per axis, from an
 exposure of duration E during which the particle moves on. An increment over an interval h then
 has, per axis, variance 2Dh + 2σ² − 2DE/3 and covariance −σ² + DE/3 with its neighbour (Berglund
-2010; E = 0 is a strobe, E = h a full frame, his R = 1/6). That is a local level seen with the
-variance σ² − DE/3, so the Kalman gain of the local-level model whitens increments exactly, in
-one pass, across unequal intervals and gaps. Everything that is linear in unknowns may be passed
-through the same filter.
+2010; E = 0 is a strobe, E = h a full frame, his R = 1/6). That is a local level observed with
+variance σ² − DE/3. The Kalman gain of the local-level model therefore whitens increments exactly,
+in one pass, across unequal intervals and gaps. All that is linear in unknowns may pass the same
+filter.
 
-What is whitened are positions, and for a model's column the displacement that it has accumulated
-since the start of the record. That makes gaps trivial: a missing row is a row not used.
+Positions are whitened, and for a column of the model the displacement accumulated since the start
+of the recording. Gaps then need no care: a missing row is a row not used.
 """
 
 from __future__ import annotations
@@ -27,15 +27,24 @@ from microbot_ros.model.physics.particle import (
 )
 
 SMALLEST, WATER = 0.1e-6, 0.89e-3
-"""Radius [m] of the smallest sphere that a light microscope shows as a body, and the viscosity
-[Pa s] of water at 25 °C: together they bound the D of what moves by heat alone."""
+"""Radius [m] of the smallest sphere that a light microscope shows as a body, and the viscosity of
+water [Pa s] at 25 °C (`WATER`): together they bound the D of thermal motion."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """`diffusion` D [m²/s], `localisation` error σ per axis [m] and `exposure` E [s].
+    """Noise of tracks.
 
-    `diffusion_std`, `localisation_std` are NaN where the values were given, not fitted.
+    Attributes
+    ----------
+    diffusion : float
+        D [m²/s].
+    localisation : float
+        Localisation error σ per axis [m].
+    exposure : float
+        Exposure E [s].
+    diffusion_std, localisation_std : float
+        Standard deviations; NaN for values that were given, not fitted.
     """
 
     diffusion: float
@@ -46,14 +55,23 @@ class Noise:
 
     @property
     def ratio(self) -> float:
-        """σ²/D − E/3 [s], the `noise_ratio` of the likelihood; below 0 with blur alone."""
+        """σ²/D − E/3 [s], the `noise_ratio` of the likelihood; negative for blur alone."""
         return self.localisation**2 / self.diffusion - self.exposure / 3
 
 
 def sphere_in_fluid(conditions: Conditions) -> tuple[Fluid, float] | None:
-    """The fluid, above its floor, and the radius [m] under some `conditions`.
+    """Return fluid and radius of the particles.
 
-    None where they are not known; at 25 °C where the temperature is not.
+    Parameters
+    ----------
+    conditions : Conditions
+        Conditions of a session.
+
+    Returns
+    -------
+    (Fluid, float) or None
+        Fluid above its floor, at 25 °C if the temperature is unknown, and radius [m]. None if
+        radius or viscosity are unknown.
     """
     if not (conditions.radius and conditions.viscosity):
         return None
@@ -62,19 +80,40 @@ def sphere_in_fluid(conditions: Conditions) -> tuple[Fluid, float] | None:
 
 
 def stokes_einstein(conditions: Conditions) -> tuple[float, float] | None:
-    """D [m²/s] and D_r [rad²/s] of a sphere under some `conditions`; None where not known.
+    """Return the thermal diffusion of a sphere at its height above the floor.
 
-    At their height above the floor (Stokes–Einstein and Stokes–Einstein–Debye).
+    By Stokes–Einstein and Stokes–Einstein–Debye.
+
+    Parameters
+    ----------
+    conditions : Conditions
+        Conditions of a session.
+
+    Returns
+    -------
+    (float, float) or None
+        D [m²/s] and D_r [rad²/s]; None if radius or viscosity are unknown.
     """
     known = sphere_in_fluid(conditions)
     return known and (translational_diffusion(*known), rotational_diffusion(*known))
 
 
 def implausible_diffusion(conditions: Conditions, noise: Noise) -> list[str]:
-    """A sentence where the D of some `noise` is not that of Stokes–Einstein under `conditions`.
+    """Return a sentence if D differs from its thermal value by Stokes–Einstein.
 
-    Where these do not say the radius and the viscosity: where D exceeds that of any sphere that a
-    microscope shows, of SMALLEST radius in water.
+    If radius or viscosity are unknown: if D exceeds that of a sphere of SMALLEST radius in water.
+
+    Parameters
+    ----------
+    conditions : Conditions
+        Conditions of the session.
+    noise : Noise
+        Fitted noise.
+
+    Returns
+    -------
+    list of str
+        Empty if D is plausible.
     """
     if not 0 < noise.diffusion < np.inf:
         return []
@@ -109,12 +148,31 @@ def implausible_diffusion(conditions: Conditions, noise: Noise) -> list[str]:
 def whiten(
     columns: np.ndarray, times: np.ndarray, noise: Noise, pieces: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Independent columns (T, N, M) of unit variance per axis under `noise`; unused rows are 0.
+    """Whiten columns under known noise.
 
-    From `columns` (T, N, M) [m], real or complex, at `times` (T,) [s]. `pieces` (T, N) says to
-    which piece of a track rows belong, 0 to none, by default all whose columns are finite to one:
-    positions and model columns must go through the same filter. ValueError unless times ascend
-    strictly.
+    Positions and columns of a model must pass the same filter.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (T, N, M)
+        Real or complex positions or displacements [m].
+    times : ndarray, shape (T,)
+        Times of the frames [s], strictly ascending.
+    noise : Noise
+        The noise.
+    pieces : ndarray of int, shape (T, N), optional
+        Piece of the track that each row belongs to; 0 for unused rows. By default all rows with
+        finite columns are one piece.
+
+    Returns
+    -------
+    ndarray, shape (T, N, M)
+        Independent increments of unit variance per axis; 0 in unused rows.
+
+    Raises
+    ------
+    ValueError
+        If times do not ascend.
     """
     from microbot_ros.estimation.likelihood.kernels import whiten_columns
 

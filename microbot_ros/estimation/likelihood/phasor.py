@@ -1,4 +1,4 @@
-"""From the velocity phasor v e^{iφ} to speed, direction and force, with honest spreads."""
+"""Speed, direction and force from the velocity phasor v e^{iφ}, with unbiased uncertainties."""
 
 from __future__ import annotations
 
@@ -14,15 +14,26 @@ from microbot_ros.estimation.likelihood.noise import sphere_in_fluid
 from microbot_ros.model.physics.particle import stokes_drag
 
 DRAG_RELATIVE_STD = float(np.hypot(0.05, 0.05))
-"""What is not known of 6πηr: 5 % of viscosity and 5 % of radius."""
+"""Relative standard deviation of the drag 6πηr.
+
+Choice: 5 % for viscosity, as of 2 °C in water, and 5 % for radius.
+"""
 
 NO_ANGLE = math.pi / math.sqrt(3)
-"""Standard deviation [rad] of an angle of which nothing is known."""
+"""Standard deviation [rad] of a uniform angle: π/√3."""
 
 
 @dataclass(frozen=True)
 class Polar:
-    """`speed` ± `speed_std` [m/s, or m/s/Hz] and `phi` ± `phi_std` [rad]; arrays of one shape."""
+    """Speed and angle of several tracks; arrays of one shape.
+
+    Attributes
+    ----------
+    speed, speed_std : ndarray
+        Speed and standard deviation [m/s, or m/s/Hz].
+    phi, phi_std : ndarray
+        Angle of travel from the field and standard deviation [rad].
+    """
 
     speed: np.ndarray
     speed_std: np.ndarray
@@ -30,24 +41,50 @@ class Polar:
     phi_std: np.ndarray
 
     def widened(self, log_phasor: np.ndarray | complex) -> Polar:
-        """With what else moves log v e^{iφ}.
+        """Add a further uncertainty of log(v e^{iφ}).
 
-        `log_phasor` (N,) or one for all: by how much, as a standard deviation of either part. An
-        angle is never known worse than if all were alike.
+        Parameters
+        ----------
+        log_phasor : ndarray of complex, shape (N,), or complex
+            Standard deviations of the real and the imaginary part.
+
+        Returns
+        -------
+        Polar
+            With larger standard deviations; that of φ is at most NO_ANGLE.
         """
         speed, phi = np.abs(np.real(log_phasor)), np.abs(np.imag(log_phasor))
         return Polar(self.speed, np.hypot(self.speed_std, self.speed * speed),
                      self.phi, np.minimum(np.hypot(self.phi_std, phi), NO_ANGLE))
 
     def of(self, rows: np.ndarray) -> Polar:
-        """Of some `rows` (P,) alone."""
+        """Select rows.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (P,)
+            Indices or mask.
+
+        Returns
+        -------
+        Polar
+            The selected rows.
+        """
         return Polar(self.speed[rows], self.speed_std[rows], self.phi[rows], self.phi_std[rows])
 
     def force(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
-        """F = 6πηr v [N] under some `conditions`, and its standard deviation, that of 6πηr in it.
+        """Return the propulsive force F = 6πηr v, with the drag at the height above the floor.
 
-        With the drag at their height above the floor, which is taken as it was stated. NaN where
-        radius or viscosity are not known, and for rollers.
+        Parameters
+        ----------
+        conditions : Conditions
+            Conditions of the session; the height is taken as stated.
+
+        Returns
+        -------
+        force, std : ndarray
+            Force and standard deviation [N], including that of the drag. NaN if radius or
+            viscosity are unknown, and for rollers.
         """
         known = sphere_in_fluid(conditions)
         drag = stokes_drag(*known) if known and conditions.propulsion != 'rolling' else np.nan
@@ -56,16 +93,26 @@ class Polar:
 
 
 def polar(velocity_phasor: np.ndarray, std: np.ndarray) -> Polar:
-    """Speed |c| and phase arg c of a `velocity_phasor` c known to `std` on each axis.
+    """Return speed |c| and phase arg c of a velocity phasor c.
 
-    Arrays of one shape [m/s, for rollers m/s/Hz]; where one is NaN, so is the result.
+    These are moments of the Rice likelihood under a flat prior on speed ≥ 0: |c| alone is biased
+    by std²/2v. Where c is far below its uncertainty, the speed is that of a half-normal
+    distribution, and the standard deviation of the phase tends to π/√3, that of a uniform angle;
+    nothing diverges. With y = |c|²/2 std²: E v = std √(2/π) / (e^{−y/2} I₀(y/2)), E v² = std² (1 +
+    y + y I₁(y/2)/I₀(y/2)); the mean resultant length of the phase is √(πy)/2 · e^{−y/2} (I₀(y/2) +
+    I₁(y/2)).
 
-    Moments of the Rice likelihood under a flat prior on speed ≥ 0: |c| alone is biased upwards
-    by std²/2v. Where c drowns in its own spread the speed is that of a half-normal, and the
-    phase's standard deviation tends to that of a uniform angle, π/√3; nothing diverges.
-    With y = |c|²/2 std²: E v = std √(2/π) / (e^{−y/2} I₀(y/2)),
-    E v² = std² (1 + y + y I₁(y/2)/I₀(y/2)); the phase's mean resultant length is
-    √(πy)/2 · e^{−y/2} (I₀(y/2) + I₁(y/2)).
+    Parameters
+    ----------
+    velocity_phasor : ndarray of complex
+        c [m/s, for rollers m/s/Hz].
+    std : ndarray
+        Standard deviation of c on each axis, of the same shape.
+
+    Returns
+    -------
+    Polar
+        NaN where either argument is NaN.
     """
     velocity_phasor = np.asarray(velocity_phasor, complex)
     half = _half_square(velocity_phasor, std)
@@ -74,7 +121,7 @@ def polar(velocity_phasor: np.ndarray, std: np.ndarray) -> Polar:
 
 @numba.njit('f8[::1](c16[:], f8[:])', cache=True)
 def _half_square(c, std):  # type: ignore[no-untyped-def]
-    """y/2 (N,) of `polar`."""
+    """Return y/2 (N,) of `polar`."""
     half = np.empty(len(c))
     for n in range(len(c)):
         size = abs(c[n]) / max(std[n], 1e-30)
@@ -85,7 +132,7 @@ def _half_square(c, std):  # type: ignore[no-untyped-def]
 @numba.njit('UniTuple(f8[::1], 4)(c16[:], f8[:], f8[:], f8[:], f8[:])', cache=True,
             error_model='numpy')
 def _moments(c, std, half, i0, i1):  # type: ignore[no-untyped-def]
-    """The fields of `Polar` from c, its `std`, y/2 and e^{−y/2} I(y/2) of orders 0 and 1."""
+    """Return the fields of `Polar` from c, `std`, y/2 and e^{−y/2} I(y/2) of orders 0 and 1."""
     speed, spread, phase_std = np.empty(len(c)), np.empty(len(c)), np.empty(len(c))
     phase = np.empty(len(c))
     for n in range(len(c)):

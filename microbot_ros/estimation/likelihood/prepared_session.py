@@ -1,9 +1,9 @@
 """A session prepared for fits: what was seen, what was commanded, where particles were.
 
-The one preparation that every fit starts from: times count from the first frame, frames before
-the first field are left out, and tracks are split where particles touch. At a step too large for
-any motion the stage moved, or two particles were confused: what comes after it is taken for
-another particle, with v and φ of its own, so that no confusion can stand in for an effect.
+Every fit starts from this preparation. Times count from the first frame, frames before the first
+field are left out, and tracks are split where particles touch. At a step too large for any motion
+the stage moved, or two particles were confused. The track after it is another particle, with its
+own v and φ, so that no confusion can mimic an effect.
 """
 
 from __future__ import annotations
@@ -20,52 +20,91 @@ from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
 
 FORGOTTEN = 5.0
-"""Alignment times after which the heading has forgotten where it began."""
+"""Alignment times after which a heading does not depend on its start.
+
+Choice: e⁻⁵ = 0.7 % remains.
+"""
 
 SPREAD, GATHERED = 0.25, 0.12
-"""Standard deviation of headings [rad] at which they are lost, and found again."""
+"""Standard deviation of headings [rad] above which they are lost, and below which (`GATHERED`)
+they are known again.
+
+Choice: up to 0.25 rad a filter that is linear in the heading errs by 1 % of a displacement across
+the path (θ²/6) and 3 % along it (θ²/2); less loses more rows. The second is lower, so that rows
+are not lost and found in turns."""
 
 USUAL = 1.5
-"""Times the usual variance of headings, up to which they count as gathered."""
+"""Ratio to the usual variance of headings up to which they count as known.
+
+Choice: where the variance is large at all times, rows are lost only at turns.
+"""
 
 ROTATIONAL_DIFFUSION = 0.01
-"""[rad²/s], to begin with where radius and viscosity are not known: of a sphere of 2.4 µm in
-water."""
+"""Initial rotational diffusion [rad²/s] where radius or viscosity are unknown: that of a sphere of
+2.4 µm in water."""
 
 CONTACT, BLUR = 1.05, 3.0
-"""How near spheres may touch between frames: in distances of contact, and in usual steps more."""
+"""Distance up to which spheres may touch between frames: factor on the distance of contact, and
+usual steps (`BLUR`) added to it.
+
+Choice: larger values lose rows, smaller ones keep pushes between spheres."""
 
 JUMP = 6.0
-"""Steps longer than this many times the 99th percentile are no motion."""
+"""Ratio to the 99th percentile above which a step is no motion.
+
+Choice: 18 standard deviations of a Gaussian step; a smaller value splits tracks of uneven motion.
+"""
 
 NEAR, AROUND = 5, 51
-"""Frames on either side of a step whose median velocity is the motion there, and frames around it
-in which the distance of steps from the motion is usual."""
+"""Frames on either side of a step whose median velocity is the motion there, and frames (`AROUND`)
+around it that make the usual distance of steps from the motion.
+
+Choice: short enough to follow commands, long enough for a median."""
 
 STANDS_OUT = 8.0
-"""Times the usual distance from the motion, a median, from which a step stands out: 9.4 standard
-deviations, which chance does not reach. At half of it 1 Gaussian step in 60,000 stands out; at
-twice of it a slip of 1 µm is missed where positions scatter by 0.05 µm."""
+"""Ratio to the usual (median) distance from the motion above which a step is an outlier.
+
+Choice: 9.4 standard deviations, which chance does not reach. At half of it 1 Gaussian step in
+60,000 is an outlier; at twice of it a slip of 1 µm is missed where positions scatter by 0.05 µm.
+"""
 
 SLIPS, TOUCHES = 0.05, 0.005
-"""Parts of the steps of a track that may stand out where it slips, two for each, and where it is
-cut: beyond them the motion itself is uneven, as of a dimer that leaps with every half turn. More
-than one step in 200 frames is no stage that was touched."""
+"""Fraction of the steps of a track that may be outliers where it slips, two for each slip, and
+where it is cut (`TOUCHES`).
+
+Choice: beyond them the motion itself is uneven, as of a dimer that leaps with every half turn.
+More than one step in 200 frames is not a stage that was touched."""
 
 HELD = 0.1
-"""Seconds for which a command has to be held before a change of it is a switch: the shortest over
-which something may relax. What changes all the time, as a ramp of angles or a closed loop, has no
-switch."""
+"""Time [s] for which a command must be held before its change counts as a switch.
+
+Choice: the shortest over which something may relax. Commands that change all the time, as a ramp
+of angles or a closed loop, have no switch.
+"""
 
 LARGEST_CONTACT = 15e-6
-"""Particles that never came closer than this [m] did not touch."""
+"""Distance [m] of centres above which particles did not touch. Choice: above usual diameters."""
 
 FEWEST = 20
-"""Rows that make a piece of a split track worth keeping."""
+"""Fewest rows of a piece of a split track that is kept.
+
+Choice: v and φ of fewer rows are hardly known; a larger value loses data.
+"""
 
 
 def first_field(commands: Commands) -> float:
-    """When the first field of `commands` that is not zero begins [s]; infinity if none does."""
+    """Return when the first field begins.
+
+    Parameters
+    ----------
+    commands : Commands
+        Commands of a session.
+
+    Returns
+    -------
+    float
+        Time of the first field that is not zero [s]; infinity if there is none.
+    """
     driven = commands.t[np.hypot(*commands.field.T) > 0]
     return float(driven[0]) if driven.size else np.inf
 
@@ -74,16 +113,33 @@ def first_field(commands: Commands) -> float:
 class PreparedSession:
     """One session as arrays of T frames and N tracks of P ≤ N particles.
 
-    `name` of the session; `ids` (N,): the particle of each track, ascending, again for what comes
-    after a step too large for any motion; `times` (T,) [s] from the first frame of the session;
-    `z` (T, N) complex positions [m], 0 where not finite; `pieces` (T, N): which piece of its track
-    a row belongs to, a number of its own for each, 0 where the row is not used; nothing is learned
-    from the displacement between two pieces; `causal_positions` (T, N, 2) [m]: positions as known
-    from earlier and present frames only, for terms that depend on position (raw ones would bias
-    them), NaN while a particle is not in view; `commands` on the same clock; `conditions` of the
-    rig; `jumps` (P,): how many slips and steps too large for any motion each particle made;
-    `phi` (N,) [rad], where some fit has told it already, for terms that depend on the heading;
-    `speeds_fluctuate`: whether the noise of every fit includes speeds that fluctuate.
+    Attributes
+    ----------
+    name : str
+        Name of the session.
+    ids : ndarray, shape (N,)
+        Particle of each track, ascending. A particle has another track after a step too large for
+        any motion.
+    times : ndarray, shape (T,)
+        Times [s] from the first frame of the session.
+    z : ndarray of complex, shape (T, N)
+        Positions [m]; 0 where not finite.
+    pieces : ndarray of int, shape (T, N)
+        Piece of its track that each row belongs to, numbered from 1; 0 for unused rows. Nothing is
+        learned from the displacement between two pieces.
+    causal_positions : ndarray, shape (T, N, 2)
+        Positions [m] as known from earlier and present frames only, for effects that depend on
+        position (raw ones would bias them); NaN while a particle is out of view.
+    commands : Commands
+        Commands on the same clock.
+    conditions : Conditions
+        Conditions of the rig.
+    jumps : ndarray of int, shape (P,)
+        Slips and steps too large for any motion of each particle.
+    phi : ndarray, shape (N,), or None
+        φ [rad] from an earlier fit, for terms that depend on the heading.
+    speeds_fluctuate : bool
+        Whether the noise of every fit includes fluctuating speeds.
     """
 
     name: str
@@ -100,9 +156,20 @@ class PreparedSession:
 
     @classmethod
     def of(cls, session: Session) -> PreparedSession:
-        """The frames of `session` from the first field on: before it, headings are unknown.
+        """Prepare the frames of a session from the first field on.
 
-        All frames where there is no field at all. Tracks are whole, but for the session's breaks.
+        Headings are unknown before. Without any field, all frames are kept. Tracks are whole,
+        except at the breaks of the session.
+
+        Parameters
+        ----------
+        session : Session
+            The recording.
+
+        Returns
+        -------
+        PreparedSession
+            The frames, without any split.
         """
         times, positions = session.tracks.grid()
         first = times[0] if len(times) else 0.0
@@ -125,13 +192,24 @@ class PreparedSession:
 
     @cached_property
     def main(self) -> np.ndarray:
-        """The longest track (P,) of every particle."""
+        """Index of the longest track (P,) of every particle."""
         rows = self.seen.sum(axis=0)
         return np.array([max(np.flatnonzero(self.ids == name), key=rows.__getitem__)
                          for name in np.unique(self.ids)], dtype=int)
 
     def joined(self, ahead: int = 1) -> np.ndarray:
-        """Whether each row (T − ahead, N) and the one `ahead` of it lie in one piece."""
+        """Return whether each row and a later one lie in one piece.
+
+        Parameters
+        ----------
+        ahead : int, optional
+            Distance of the rows in frames.
+
+        Returns
+        -------
+        ndarray of bool, shape (T − ahead, N)
+            By the earlier row.
+        """
         joined: np.ndarray = self.seen[ahead:] & (self.pieces[ahead:] == self.pieces[:-ahead])
         return joined
 
@@ -142,7 +220,7 @@ class PreparedSession:
 
     @cached_property
     def switches(self) -> np.ndarray:
-        """Rows (K,) of the commands that change one which was held for HELD."""
+        """Rows (K,) of the commands that change a command held for HELD."""
         commands = self.commands
         told = np.column_stack([commands.field, commands.frequency_at(commands.t)])
         change = np.append(0, 1 + np.flatnonzero((told[1:] != told[:-1]).any(axis=1)))
@@ -152,37 +230,74 @@ class PreparedSession:
 
     @cached_property
     def interval(self) -> float:
-        """The usual time between frames [s]."""
+        """Median time between frames [s]."""
         return float(np.median(np.diff(self.times)))
 
     @cached_property
     def rotational_diffusion(self) -> float | None:
-        """Rotational diffusion [rad²/s] by Stokes–Einstein–Debye; None where not known."""
+        """Rotational diffusion [rad²/s] by Stokes–Einstein–Debye; None where unknown."""
         known = stokes_einstein(self.conditions)
         return known and known[1]
 
     def after_first_field(self, seconds: float) -> PreparedSession:
-        """Return the session without the first `seconds` [s] after the field came on."""
+        """Remove the first frames after the field came on.
+
+        Parameters
+        ----------
+        seconds : float
+            Time since the first field [s].
+
+        Returns
+        -------
+        PreparedSession
+            The later frames.
+        """
         return self.from_frame(int(self.times.searchsorted(first_field(self.commands) + seconds)))
 
     def from_frame(self, first: int) -> PreparedSession:
-        """Return the session without the frames before the frame of index `first`."""
+        """Remove the frames before a frame.
+
+        Parameters
+        ----------
+        first : int
+            Index of the first frame that is kept.
+
+        Returns
+        -------
+        PreparedSession
+            The later frames.
+        """
         return replace(
             self, times=self.times[first:], z=self.z[first:], pieces=self.pieces[first:],
             causal_positions=self.causal_positions[first:])
 
     def only(self, frames: np.ndarray) -> PreparedSession:
-        """The session as if nothing had been recorded but `frames` (T,) bool, commands apart.
+        """Return the session as if only some frames had been recorded, with all commands.
 
-        Tracks are cut there: nothing is learned from a displacement across other frames, nor from
-        any place in them.
+        Tracks are cut there: no displacement across other frames and no place in them is used.
+
+        Parameters
+        ----------
+        frames : ndarray of bool, shape (T,)
+            Frames that are kept.
+
+        Returns
+        -------
+        PreparedSession
+            With the same times.
         """
         places = np.where(frames[:, None, None], self.causal_positions, np.nan)
         hidden = np.broadcast_to(~frames[:, None], self.seen.shape)
         return replace(self, causal_positions=places).split_tracks(hidden)
 
     def split_at_jumps(self) -> PreparedSession:
-        """With another track after every step beyond any motion, if it has FEWEST rows."""
+        """Start another track after every step too large for any motion.
+
+        Returns
+        -------
+        PreparedSession
+            Tracks of fewer than FEWEST rows are left out, except for the longest.
+        """
         both = self.joined()
         steps = np.where(both, np.abs(np.diff(self.z, axis=0)), 0.0)
         usual = np.quantile(steps[both], 0.99) if both.any() else 0.0
@@ -207,7 +322,12 @@ class PreparedSession:
             jumps=self.jumps + jumped.sum(axis=0))
 
     def without_slips(self) -> PreparedSession:
-        """Without rows that a track jumps to and back from, as where a tracker slips for a frame.
+        """Remove rows that a track jumps to and back from, as if the tracker slipped for a frame.
+
+        Returns
+        -------
+        PreparedSession
+            Without these rows.
         """
         odd = self._odd_steps(SLIPS)
         out = np.zeros_like(self.seen)
@@ -217,17 +337,33 @@ class PreparedSession:
             causal_positions=np.where(out[..., None], np.nan, self.causal_positions))
 
     def cut_at_steps(self) -> PreparedSession:
-        """Tracks in pieces between steps that the motion around them does not explain.
+        """Cut tracks at steps that the motion around them does not explain.
 
-        A track that was seeded anew or a stage that was touched. The particle stays the same one.
+        The tracker was restarted or the stage was touched. The particle stays the same.
+
+        Returns
+        -------
+        PreparedSession
+            With more pieces.
         """
         return self._cut(np.concatenate(
             [np.zeros((1, self.z.shape[1]), bool), self._odd_steps(TOUCHES)]))
 
     def cut_at(self, rows: np.ndarray) -> PreparedSession:
-        """Tracks in pieces that begin at `rows` (T, N) bool, where these are rare in a track.
+        """Cut tracks at given rows, where these are few.
 
-        Or no more than the switches of the command: bodies turn over before they follow.
+        Few are TOUCHES of a track, or no more than the switches of the command: bodies turn over
+        before they follow.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (T, N)
+            First rows of new pieces.
+
+        Returns
+        -------
+        PreparedSession
+            With more pieces.
         """
         few = np.maximum(TOUCHES * self.seen.sum(axis=0), max(2, len(self.switches)))
         return self._cut(rows & (rows.sum(axis=0) <= few))
@@ -240,9 +376,10 @@ class PreparedSession:
         return replace(self, pieces=pieces, jumps=self.jumps + self._of_particles(cut))
 
     def _odd_steps(self, rare: float) -> np.ndarray:
-        """Steps (T − 1, N) bool that stand out of the motion around them.
+        """Return which steps (T − 1, N) are outliers of the motion around them.
 
-        Where more than `rare` of the steps of a track do, that is how it moves, and none is odd.
+        If more than the fraction `rare` of a track are, that is how it moves, and none is an
+        outlier.
         """
         steps = np.where(self.joined(), np.diff(self.z, axis=0), np.nan)
         odd = np.stack([_stands_out(track, np.diff(self.times)) for track in steps.T], axis=1)
@@ -250,14 +387,19 @@ class PreparedSession:
         return odd
 
     def _of_particles(self, rows: np.ndarray) -> np.ndarray:
-        """How many of some `rows` (T, N) bool each particle has: (P,)."""
+        """Return how many of `rows` (T, N) each particle has: (P,)."""
         return np.bincount(np.unique(self.ids, return_inverse=True)[1],
                            rows.sum(axis=0)).astype(int)
 
     def split_at_contacts(self) -> PreparedSession:
-        """Tracks split where spheres may touch: there they push each other.
+        """Split tracks where spheres may touch, since they push each other there.
 
-        Without a known radius, contact is as near as two ever came.
+        Without a known radius, the distance of contact is the smallest that ever occurred.
+
+        Returns
+        -------
+        PreparedSession
+            With more pieces.
         """
         z = np.where(self.seen, self.z, np.nan)
         apart = distances(z)
@@ -273,10 +415,20 @@ class PreparedSession:
         return self.split_tracks(touching)
 
     def split_tracks(self, out: np.ndarray) -> PreparedSession:
-        """Each track in pieces between the rows `out` (T, N) bool, which are not used.
+        """Split each track at rows that are not used.
 
-        Of a track that is split, pieces of fewer than FEWEST rows are not used either, but for
-        its longest.
+        Pieces of a split track with fewer than FEWEST rows are not used either, except for its
+        longest.
+
+        Parameters
+        ----------
+        out : ndarray of bool, shape (T, N)
+            Rows that are not used.
+
+        Returns
+        -------
+        PreparedSession
+            With more pieces.
         """
         if not out.any():
             return self
@@ -291,10 +443,22 @@ class PreparedSession:
     def with_filtered_positions(
         self, displacement: np.ndarray, noise_ratio: float,
     ) -> PreparedSession:
-        """With `causal_positions` filtered about the `displacement` (T, N) complex [m] of a model.
+        """Filter `causal_positions` about the displacement by a model.
 
-        `noise_ratio` [s] is that of the likelihood's `Whitening`. Outside a piece they stay as
-        they are: no model knows what happens in a contact, nor where one is that is lost then.
+        Outside pieces they stay as they are: no model predicts what happens in a contact, or where
+        a particle is while its heading is lost.
+
+        Parameters
+        ----------
+        displacement : ndarray of complex, shape (T, N)
+            Displacement since the first frame [m].
+        noise_ratio : float
+            σ²/D less a third of the exposure [s].
+
+        Returns
+        -------
+        PreparedSession
+            With filtered positions.
         """
         from microbot_ros.estimation.likelihood.kernels import filter_positions
 
@@ -305,7 +469,7 @@ class PreparedSession:
 
     @property
     def _inside_a_piece(self) -> np.ndarray:
-        """Which rows (T, N) are used, or lie between two of one piece that are."""
+        """Which rows (T, N) are used, or lie between two used rows of one piece."""
         row = np.arange(len(self.times))[:, None]
         before = np.maximum.accumulate(np.where(self.seen, row, 0), axis=0)
         after = np.minimum.accumulate(np.where(self.seen, row, row[-1])[::-1], axis=0)[::-1]
@@ -314,9 +478,17 @@ class PreparedSession:
 
 
 def distances(z: np.ndarray) -> np.ndarray:
-    """Between every two particles at places `z` (T, N) complex [m]: (T, N, N) [m].
+    """Return the distances between particles.
 
-    Infinite to itself, and where either place is not finite.
+    Parameters
+    ----------
+    z : ndarray of complex, shape (T, N)
+        Positions [m].
+
+    Returns
+    -------
+    ndarray, shape (T, N, N)
+        Distances [m]; infinite to itself and where a position is not finite.
     """
     apart = np.abs(z[:, :, None] - z[:, None, :])
     apart[~np.isfinite(apart)] = np.inf
@@ -325,10 +497,10 @@ def distances(z: np.ndarray) -> np.ndarray:
 
 
 def _stands_out(steps: np.ndarray, intervals: np.ndarray) -> np.ndarray:
-    """Which of the `steps` (T,) complex [m], NaN where not seen, no motion around them explains.
+    """Return which `steps` (T,) [m] no motion around them explains; NaN is not seen.
 
-    That is all between the steps before and after, and all between the median velocities of NEAR
-    frames before and after, since commands switch between frames; `intervals` (T,) [s].
+    Explained are all steps between those before and after, and all between the median velocities
+    of NEAR frames before and after, since commands switch between frames; `intervals` (T,) [s].
     """
     result = np.zeros(len(steps), bool)
     seen = np.flatnonzero(np.isfinite(steps))
@@ -350,7 +522,7 @@ def _stands_out(steps: np.ndarray, intervals: np.ndarray) -> np.ndarray:
 
 
 def _distance(z: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Of points `z` from the segments between `one` and an `other`, all complex (T,)."""
+    """Return distances of points `z` from segments `one` to `other`, all complex (T,)."""
     way = other - one
     length = np.maximum(np.abs(way) ** 2, 1e-300)
     along = np.clip(((z - one) * way.conj()).real / length, 0.0, 1.0)
@@ -359,9 +531,19 @@ def _distance(z: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def prepare(session: Session) -> PreparedSession:
-    """A `session` as every fit takes it: from the first field on, without slips, cut at steps.
+    """Prepare a session as every fit takes it.
 
-    Split where tracks jump and where spheres touch.
+    From the first field on, without slips, cut at outlying steps, and split at jumps and contacts.
+
+    Parameters
+    ----------
+    session : Session
+        The recording.
+
+    Returns
+    -------
+    PreparedSession
+        The prepared session.
     """
     whole = PreparedSession.of(session).without_slips()
     return whole.split_at_jumps().cut_at_steps().split_at_contacts()
@@ -370,11 +552,24 @@ def prepare(session: Session) -> PreparedSession:
 def predictable_part(
     session: PreparedSession, model: Model, assumed: float = ROTATIONAL_DIFFUSION,
 ) -> PreparedSession:
-    """The part of a `session` that a `model` without chance in its headings can explain.
+    """Return the part of a session that a model without random headings can explain.
 
-    `assumed` is the rotational diffusion [rad²/s] where radius and viscosity don't tell it.
-    Headings are unknown until the first field has come and aligned them, and again after a turn
-    so near 180° that Brownian motion chooses the way round. Never less than half the time.
+    Headings are unknown until the first field has aligned them, and again after a turn so close to
+    180° that Brownian motion chooses its sense.
+
+    Parameters
+    ----------
+    session : PreparedSession
+        The session.
+    model : Model
+        The model.
+    assumed : float, optional
+        Rotational diffusion [rad²/s] where radius or viscosity are unknown.
+
+    Returns
+    -------
+    PreparedSession
+        Never less than half of the time.
     """
     tau = model.alignment_time
     if tau == 0:
@@ -390,8 +585,9 @@ def predictable_part(
 
 
 def _aligned(commands: Commands, slowness: float) -> float:
-    """Seconds from the first field until it has lasted FORGOTTEN alignment times, of which each is
-    `slowness` [T s] over its strength; infinity where it never does.
+    """Return seconds from the first field until it has lasted FORGOTTEN alignment times.
+
+    Each is `slowness` [T s] over the strength; infinity where the field never lasts so long.
     """
     strength = np.hypot(*commands.field.T)
     lasted = np.append(0.0, np.cumsum(np.diff(commands.t) * strength[:-1] / slowness))
@@ -403,10 +599,10 @@ def _aligned(commands: Commands, slowness: float) -> float:
 
 
 def _lost(session: PreparedSession, model: Model, assumed: float) -> np.ndarray:
-    """Frames (T,) in which headings may be far from where the model has them.
+    """Return frames (T,) in which headings may be far from those of the model.
 
-    From the beginning, and from when Brownian turning, amplified by every turn of nearly 180°,
-    spreads them wider than a linear filter can follow, until the field has gathered them again.
+    From the beginning, and from when Brownian rotation, amplified by every turn of nearly 180°,
+    spreads them wider than a linear filter can follow, until the field has aligned them again.
     """
     nobody = ParticleParameters.from_velocity_phasor(np.zeros(1, int), np.ones(1, complex))
     response = heading_response(model, nobody, session.timeline)
@@ -415,7 +611,7 @@ def _lost(session: PreparedSession, model: Model, assumed: float) -> np.ndarray:
     variance = np.full(len(session.times), np.pi**2)
     for k in range(len(retention)):
         variance[k + 1] = min(retention[k] ** 2 * variance[k] + kick[k], np.pi**2)
-    # Where it is large at all times, the filter does what it can with it.
+    # If the variance is always large, rows are lost only at turns.
     usual = USUAL * float(np.median(variance))
     spread, gathered = max(SPREAD**2, 2 * usual), max(GATHERED**2, usual)
     lost = np.ones(len(variance), bool)

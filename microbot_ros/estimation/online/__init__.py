@@ -1,1 +1,1 @@
-"""The online estimator: a filter for each particle, and what all share."""
+"""Online estimator: a filter for each particle, and what all particles share."""

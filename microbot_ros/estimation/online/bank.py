@@ -1,4 +1,4 @@
-"""The exact filter for position and velocity phasor, under hypotheses of when that changed."""
+"""Exact filter of position and velocity phasor, under hypotheses of when the phasor changed."""
 
 from __future__ import annotations
 
@@ -10,14 +10,23 @@ import numpy as np
 from microbot_ros.common.compiled import numba
 
 MIN_WEIGHT = 0.05
-"""Hypotheses less probable than this neither move nor widen an estimate."""
+"""Probability below which a hypothesis does not contribute to an estimate.
+
+Choice: without it, unlikely wide hypotheses dominate the variance.
+"""
 
 
 class Mixture(NamedTuple):
-    """Mean and covariance over hypotheses, arrays (N,): see `PhasorBank`.
+    """Mean and covariance of N particles over hypotheses (see `PhasorBank`).
 
-    `p`, `velocity_phasor`, their variances per axis `p_var`, `phasor_var`, and `cross`, half the
-    mean of p̃ c̃*.
+    Attributes
+    ----------
+    p, velocity_phasor : ndarray of complex, shape (N,)
+        Means of position [m] and of c = v e^{iφ}.
+    p_var, phasor_var : ndarray, shape (N,)
+        Variances per axis.
+    cross : ndarray of complex, shape (N,)
+        Half the mean of p̃ c̃*.
     """
 
     p: np.ndarray
@@ -28,28 +37,34 @@ class Mixture(NamedTuple):
 
 
 class PhasorBank:
-    """Kalman filters for (p, c) in dp = c dU + dW + diffusion, z = p + noise; K hypotheses × N.
+    """Kalman filters of (p, c) in dp = c dU + dW + diffusion, z = p + noise.
 
     p is the position [m] and c the `velocity_phasor` v e^{iφ} [m/s, for rollers m/s/Hz]; all
-    arrays are (K, N). K is the number of `hypotheses`, N that of the particles.
+    arrays are (K, N), for K hypotheses and N particles.
 
-    Everything is complex (x + iy) and isotropic, so one particle needs one complex pair. The
-    covariance is kept factorised: `phasor_var` is Var c, `g` the regression of p on c and `p_var`
-    the variance of p given c (each per axis), P = [[p_var + |g|² Var c, g Var c], [·, Var c]].
-    Every factor is updated by products of positive numbers, so P is positive definite by
-    construction, and with constant c the recursion is least squares on increments whitened
-    exactly for diffusion and localisation noise.
+    All is complex (x + iy) and isotropic, so one particle needs one complex pair. The covariance
+    is factorised: `phasor_var` is Var c, `g` the regression of p on c and `p_var` the variance of
+    p given c (each per axis), P = [[p_var + |g|² Var c, g Var c], [·, Var c]]. Every factor is
+    updated by products of positive numbers, so P is positive definite by construction. With
+    constant c the recursion is least squares on increments that are whitened exactly for diffusion
+    and localisation noise.
 
-    Hypothesis 0 is "nothing changed"; slot j > 0 says "c changed when this slot was opened".
-    Slot j is reopened every 2ʲ ticks (the last as often as the one before it), so that the bank
-    always holds moments of change spread evenly over the logarithm of the age: an abrupt change
-    is met by a filter that starts afresh at the right moment, without process noise that would
-    blur the steady state. (The run-length posterior of Bayesian online change-point detection,
-    Adams & MacKay 2007, on a fixed grid.)
+    Hypothesis 0 is "nothing changed"; slot j > 0 is "c changed when this slot was opened". Slot j
+    is reopened every 2ʲ ticks (the last as often as the one before it), so the bank always has
+    moments of change spread evenly over the logarithm of the age. An abrupt change finds a filter
+    that started at the right moment, without process noise that would blur the steady state. (The
+    run-length posterior of Bayesian online change-point detection, Adams & MacKay 2007, on a fixed
+    grid.)
+
+    Parameters
+    ----------
+    hypotheses : int
+        K.
     """
 
     _ARRAYS: ClassVar[tuple[str, ...]] = (
         'p', 'velocity_phasor', 'g', 'p_var', 'phasor_var', 'log_weight')
+    """Names of all arrays (K, N)."""
 
     def __init__(self, hypotheses: int) -> None:
         shape = (hypotheses, 0)
@@ -62,9 +77,16 @@ class PhasorBank:
         self._ticks = 0
 
     def add(self, position: np.ndarray, p_var: np.ndarray, phasor_var: float) -> None:
-        """Append particles at complex `position` (n,) [m] ± √`p_var`, with c = 0 ± √`phasor_var`.
+        """Append particles with c = 0 ± √`phasor_var`.
 
-        Variances per axis, `p_var` (n,) [m²], `phasor_var` [m²/s²].
+        Parameters
+        ----------
+        position : ndarray of complex, shape (n,)
+            Positions [m].
+        p_var : ndarray, shape (n,)
+            Variances of the positions per axis [m²].
+        phasor_var : float
+            Variance of c per axis [m²/s²].
         """
         for name, born in self._births(position, p_var, phasor_var).items():
             setattr(self, name, np.concatenate([getattr(self, name), born], axis=1))
@@ -72,7 +94,7 @@ class PhasorBank:
     def _births(
         self, position: np.ndarray, p_var: np.ndarray, phasor_var: float,
     ) -> dict[str, np.ndarray]:
-        """The columns (K, n) of particles of which no more is known than where they are."""
+        """Return the columns (K, n) of particles of which only the position is known."""
         shape = self.p.shape[0], len(position)
         log_weight = np.full(shape, -np.inf)
         log_weight[0] = 0.0
@@ -83,37 +105,79 @@ class PhasorBank:
         }
 
     def scale_velocity_phasor(self, factor: complex) -> None:
-        """Multiply every c by a complex `factor` of a size near 1."""
+        """Multiply every c by a factor.
+
+        Parameters
+        ----------
+        factor : complex
+            Factor of a size near 1.
+        """
         self.velocity_phasor *= factor
 
     def keep(self, particles: np.ndarray) -> None:
-        """Keep only these columns: `particles` is a mask (N,) or indices (n,)."""
+        """Remove all other particles.
+
+        Parameters
+        ----------
+        particles : ndarray
+            Mask (N,) or indices (n,) of the particles that stay.
+        """
         for name in self._ARRAYS:
-            # Another order in memory would be compiled for anew.
+            # Another memory layout would be compiled separately.
             setattr(self, name, getattr(self, name)[:, particles].copy('C'))
 
     def predict(
         self, path: np.ndarray, drift: np.ndarray, diffused: float, wander: np.ndarray,
     ) -> None:
-        """Move on to the next frame: by c · `path`, ∫u dt [s], and `drift` [m], (1 or N,) complex.
+        """Advance to the next frame.
 
-        `diffused` = 2Dh [m²] is the variance that diffusion adds, `wander` (N,) that of c.
+        Parameters
+        ----------
+        path : ndarray of complex, shape (1 or N,)
+            ∫u dt [s]: displacement per unit c.
+        drift : ndarray of complex, shape (1 or N,)
+            Displacement by drift [m].
+        diffused : float
+            Variance 2Dh that diffusion adds [m²].
+        wander : ndarray, shape (N,)
+            Variance that is added to c.
         """
         _predict(self.p, self.velocity_phasor, self.g, self.p_var, self.phasor_var, path, drift,
                  diffused, wander)
 
     def update(self, z: np.ndarray, noise: np.ndarray, seen: np.ndarray) -> None:
-        """Take positions `z` (N,) read with variance `noise` (N,) [m²] where `seen` (N,)."""
+        """Update with positions.
+
+        Parameters
+        ----------
+        z : ndarray of complex, shape (N,)
+            Positions [m].
+        noise : ndarray, shape (N,)
+            Variances of the readings [m²].
+        seen : ndarray of bool, shape (N,)
+            Which particles have a reading.
+        """
         _update(self.p, self.velocity_phasor, self.g, self.p_var, self.phasor_var,
                 self.log_weight, z, noise, seen)
 
     def restart(
         self, rows: np.ndarray, z: np.ndarray, noise: np.ndarray, phasor_var: float,
     ) -> None:
-        """Begin particles `rows` (n,) anew at `z` (n,) [m] ± √`noise`, their predictions failed.
+        """Restart particles whose predictions failed.
 
-        They may have been moved, or their c is not what it was: two hypotheses of equal
-        probability, c as known and c = 0 ± √`phasor_var`, between which what follows decides.
+        They may have been moved, or their c may have changed: two hypotheses of equal probability,
+        c as known and c = 0 ± √`phasor_var`, between which later readings decide.
+
+        Parameters
+        ----------
+        rows : ndarray of int, shape (n,)
+            Indices of the particles.
+        z : ndarray of complex, shape (n,)
+            Positions [m].
+        noise : ndarray, shape (n,)
+            Variances of the positions [m²].
+        phasor_var : float
+            Variance of an unknown c per axis [m²/s²].
         """
         known = self.combined()
         for name, born in self._births(z, noise, phasor_var).items():
@@ -125,11 +189,21 @@ class PhasorBank:
     def tick(
         self, prior_probability: float, change_var: np.ndarray, phasor_var_max: float,
     ) -> np.ndarray:
-        """Reopen the slot that is due, with "c changed just now" of `prior_probability`.
+        """Reopen the slot that is due, with "c changed just now".
 
-        `change_var` (N,) is the variance that such a change adds to c on each axis, up to
-        `phasor_var_max` in all. Returns the
-        ticks since c changed (N,), where the slot's lapse made it certain; else 0.
+        Parameters
+        ----------
+        prior_probability : float
+            Prior probability of a change in one tick.
+        change_var : ndarray, shape (N,)
+            Variance that a change adds to c on each axis.
+        phasor_var_max : float
+            Largest variance of c.
+
+        Returns
+        -------
+        ndarray of int, shape (N,)
+            Ticks since c changed, if closing the slot made that certain; else 0.
         """
         self._ticks += 1
         zeros = (self._ticks & -self._ticks).bit_length() - 1
@@ -140,17 +214,29 @@ class PhasorBank:
         return np.where(changed, age, 0)
 
     def weights(self) -> np.ndarray:
-        """Posterior probability (K, N) of each hypothesis, those below MIN_WEIGHT set to zero."""
+        """Return the posterior probability of each hypothesis.
+
+        Returns
+        -------
+        ndarray, shape (K, N)
+            Those below MIN_WEIGHT are zero.
+        """
         weight: np.ndarray = posterior(self.log_weight)
         return weight
 
     def combined(self) -> Mixture:
-        """Mean and covariance over all hypotheses."""
+        """Return mean and covariance over all hypotheses.
+
+        Returns
+        -------
+        Mixture
+            One entry per particle.
+        """
         return Mixture(*_combine(self.weights(), self.p, self.velocity_phasor, self.g, self.p_var,
                                  self.phasor_var))
 
     def _fold(self, slot: int) -> np.ndarray:
-        """Merge a slot into hypothesis 0 where it carries weight, else let it lapse; its share."""
+        """Merge a slot into hypothesis 0 in proportion to its weight; return its share."""
         pair = [0, slot]
         share = posterior(self.log_weight[pair])
         merged = Mixture(*_combine(share, *(
@@ -174,7 +260,7 @@ class PhasorBank:
         known = self.phasor_var[0]
         grown = np.minimum(known + change_var, np.maximum(phasor_var_max, known))
         self.p[slot], self.velocity_phasor[slot] = self.p[0], self.velocity_phasor[0]
-        # The old c placed the particle; the new c is independent of that beyond what is shared.
+        # The position depends on the old c; the new c shares only part of its variance.
         shared = known / grown
         self.p_var[slot] = self.p_var[0] + np.abs(self.g[0]) ** 2 * known * (1 - shared)
         self.g[slot] = self.g[0] * shared
@@ -184,7 +270,7 @@ class PhasorBank:
 
 @numba.njit(cache=True, error_model='numpy')
 def _predict(p, c, g, p_var, phasor_var, path, drift, diffused, wander):  # type: ignore[no-untyped-def]
-    """`PhasorBank.predict` on its arrays; `path` and `drift` are (1 or N,)."""
+    """Advance the arrays of `PhasorBank.predict`; `path` and `drift` are (1 or N,)."""
     hypotheses, count = p.shape
     for n in range(count):
         way, carried = path[min(n, len(path) - 1)], drift[min(n, len(drift) - 1)]
@@ -200,7 +286,7 @@ def _predict(p, c, g, p_var, phasor_var, path, drift, diffused, wander):  # type
 
 @numba.njit(cache=True, error_model='numpy')
 def _update(p, c, g, p_var, phasor_var, log_weight, z, noise, seen):  # type: ignore[no-untyped-def]
-    """`PhasorBank.update` on its arrays."""
+    """Update the arrays of `PhasorBank.update`."""
     hypotheses, count = p.shape
     for n in range(count):
         best = -np.inf
@@ -221,7 +307,18 @@ def _update(p, c, g, p_var, phasor_var, log_weight, z, noise, seen):  # type: ig
 
 @numba.njit(cache=True, error_model='numpy')
 def posterior(log_weight):  # type: ignore[no-untyped-def]
-    """Probabilities (K, N) of log weights, those below MIN_WEIGHT set to zero."""
+    """Return the probabilities of log weights.
+
+    Parameters
+    ----------
+    log_weight : ndarray, shape (K, N)
+        Log weights of hypotheses.
+
+    Returns
+    -------
+    ndarray, shape (K, N)
+        Those below MIN_WEIGHT are zero.
+    """
     weight = np.empty_like(log_weight)
     hypotheses, count = weight.shape
     for n in range(count):
@@ -241,7 +338,7 @@ def posterior(log_weight):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model='numpy')
 def _combine(weight, p, c, g, p_var, phasor_var):  # type: ignore[no-untyped-def]
-    """The fields of `Mixture` for hypotheses of some weight (K, N)."""
+    """Return the fields of `Mixture` for hypotheses of some weight (K, N)."""
     hypotheses, count = weight.shape
     place, phasor = np.zeros(count, np.complex128), np.zeros(count, np.complex128)
     cross = np.zeros(count, np.complex128)

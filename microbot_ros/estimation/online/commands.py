@@ -1,4 +1,4 @@
-"""The commands so far, as the online filter remembers them."""
+"""Log of commands for the online filter."""
 
 from __future__ import annotations
 
@@ -9,29 +9,52 @@ import numpy as np
 from microbot_ros.common.records import Commands
 
 NEGLIGIBLE = 1e-5
-"""A field weaker than this [T], a fifth of the earth's, is noise of a read-back."""
+"""Field [T] below which a command is zero: a fifth of the Earth's field.
+
+Choice: above the noise of a read-back, below any field that aligns particles.
+"""
 
 SET_BACK = 1.0
-"""A clock that goes back by more than this [s] has been started anew."""
+"""Time [s] by which a clock must go back to count as restarted. Choice: above any jitter of
+stamps."""
 
 STRONGEST, FASTEST_TURN = 1e3, 1e6
-"""Fields [T] and frequencies [Hz] beyond these are no commands, whoever sends them."""
+"""Largest field [T] and frequency [Hz] (`FASTEST_TURN`) of a command.
+
+Choice: beyond any coils; larger numbers are errors of the sender.
+"""
 
 
 class CommandLog:
-    """Commands as they arrive, in order of time, kept for as long as they matter."""
+    """Commands in order of time, kept for as long as they matter."""
 
     _ROOM = 256
+    """Rows by which storage grows, and superfluous rows that are kept. Choice: minutes of
+    commands."""
 
     def __init__(self) -> None:
         self._rows = np.empty((self._ROOM, 4))
         self._count = 0
 
     def append(self, t: float, field: np.ndarray, frequency: float | None = None) -> str:
-        """Add a command in force from `t` [s]; the reason it was refused, or ''.
+        """Add a command.
 
-        `field` (2,) [T], taken for zero below NEGLIGIBLE; `frequency` [Hz] of rollers. Refused
-        are numbers that are not finite or beyond all coils, and commands earlier than the last.
+        Refused are numbers that are not finite or beyond all coils, and commands earlier than the
+        last.
+
+        Parameters
+        ----------
+        t : float
+            Time from which it is in force [s].
+        field : ndarray, shape (2,)
+            Field [T]; zero below NEGLIGIBLE.
+        frequency : float, optional
+            Frequency of rollers [Hz].
+
+        Returns
+        -------
+        str
+            Why the command was refused; '' if it was not.
         """
         x, y, turns = float(field[0]), float(field[1]), frequency or 0.0
         if not all(map(math.isfinite, (t, x, y, turns))):
@@ -50,25 +73,43 @@ class CommandLog:
 
     @property
     def rows(self) -> np.ndarray:
-        """What is kept, a view (K, 4): time [s], field [T] and frequency [Hz] of each command."""
+        """All kept commands as a view (K, 4): time [s], field [T] and frequency [Hz]."""
         return self._rows[:self._count]
 
     @property
     def last(self) -> float:
-        """Time of the newest command [s]; −inf where there is none."""
+        """Time of the newest command [s]; −inf if there is none."""
         return float(self._rows[self._count - 1, 0]) if self._count else -np.inf
 
     def since(self, t: float, delay: float = 0.0) -> Commands:
-        """What an integration from time `t` [s] on needs, all `delay` [s] later than commanded.
+        """Return the commands that an integration from a time on needs.
 
-        The command in force at `t` and all after it. Where the one in force is zero field, the
+        They are the command in force then, and all later ones. If the field in force is zero, the
         last field that was not zero comes first: headings stay where it left them.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        delay : float, optional
+            Delay added to all commands [s].
+
+        Returns
+        -------
+        Commands
+            The commands.
         """
         rows = self._in_force(t - delay)
         return Commands(rows[:, 0] + delay, rows[:, 1:3], rows[:, 3])
 
     def forget_before(self, t: float) -> None:
-        """Drop what `since(t)` [s] would not give, once that is many commands."""
+        """Drop commands that `since` would not return, once these are many.
+
+        Parameters
+        ----------
+        t : float
+            Earliest time of later calls of `since` [s].
+        """
         if 4 * self._count < 3 * len(self._rows):
             return
         kept = self._in_force(t)

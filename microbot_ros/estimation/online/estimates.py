@@ -1,4 +1,4 @@
-"""What the online estimator answers after every frame, and what a user may set."""
+"""Estimates after every frame, and settings of the online estimator."""
 
 from __future__ import annotations
 
@@ -16,34 +16,57 @@ from microbot_ros.estimation.online.shared import SharedKnowledge
 from microbot_ros.model.physics.vectors import as_vectors
 
 FASTEST = 20e-6
-"""Largest plausible speed [m/s], or gain [m/s/Hz]: two standard deviations of the prior."""
+"""Largest plausible speed [m/s], or gain [m/s/Hz]: two standard deviations of the prior.
+
+Choice: above reported catalytic swimmers; a larger value knows new particles later.
+"""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What a user may want different; SI."""
+    """Settings of the estimator that a user may change, SI."""
 
     horizon: float = 0.5
-    """How far ahead to predict [s]."""
+    """Prediction horizon [s]. Choice: a usual reaction time of a controller."""
     forget_after: float = 5.0
-    """Seconds without a sighting after which a particle is dropped."""
+    """Time [s] without a sighting after which a particle is dropped. Choice."""
     exposure: float = 0.0
-    """Exposure time of a frame [s]."""
+    """Exposure of a frame [s]."""
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """What is known after a frame at `t` [s]; one row per living particle, ordered by `id`.
+    """Estimates after a frame, with one row per living particle, ordered by `id`; SI.
 
-    SI; `position_std`, `prediction_std` per axis, `speed_std`, `phi_std`, `force_std` are
-    standard deviations. `noise` is what was learned of D and σ. `seen`: in this frame. `speed`
-    [m/s] (rollers: gain [m/s/Hz]), `phi` [rad] and `force` [N] are those of now where the model
-    has fuel run out or φ slip; they are NaN, and `known` False, until the command has excited
-    them enough. `force` is NaN where radius or viscosity are not known,
-    and for rollers. `prediction` (N, 2) is the position `horizon` ahead under the present
-    command. `delay` [s] is the one in use; `delay_std` NaN while undetermined. `diagnosis`:
-    sentences on what makes numbers doubtful, and what to do; `begun_anew`: those on particles
-    whose predictions had failed and that were begun anew in this very frame.
+    Attributes
+    ----------
+    t : float
+        Time of the frame [s].
+    id : ndarray, shape (N,)
+        Particles.
+    seen : ndarray of bool, shape (N,)
+        Whether the particle was seen in this frame.
+    known : ndarray of bool, shape (N,)
+        Whether the commands have determined v and φ.
+    position, position_std : ndarray, shape (N, 2) and (N,)
+        Position and standard deviation per axis [m].
+    speed, speed_std : ndarray, shape (N,)
+        Speed [m/s], or gain of rollers [m/s/Hz]. Speed, φ and force are those of now if the model
+        has exhausted fuel or slip of φ; they are NaN if not `known`.
+    phi, phi_std : ndarray, shape (N,)
+        Angle of travel from the field [rad].
+    force, force_std : ndarray, shape (N,)
+        Force [N]; also NaN if radius or viscosity are unknown, and for rollers.
+    prediction, prediction_std : ndarray, shape (N, 2) and (N,)
+        Position `horizon` ahead under the present command, and standard deviation per axis [m].
+    delay, delay_std : float
+        Delay in use [s]; standard deviation NaN while undetermined.
+    noise : Noise
+        Learned D and σ.
+    diagnosis : tuple of str
+        Sentences on what makes numbers doubtful, and what to do.
+    begun_anew : tuple of str
+        Those on particles that were restarted in this frame because their predictions had failed.
     """
 
     t: float
@@ -69,10 +92,22 @@ class Estimates:
 
 @dataclass(frozen=True)
 class State:
-    """The filter's state of the living particles at a time `t` [s]; arrays (N,), SI.
+    """State of the filter for N living particles; SI.
 
-    `ids`; `seen` in this frame; `p` complex position, `velocity_phasor` v e^{iφ} = c, and their
-    variances per axis `p_var`, `phasor_var`; `cross` is half the mean of p̃ c̃*.
+    Attributes
+    ----------
+    t : float
+        Time [s].
+    ids : ndarray, shape (N,)
+        Particles.
+    seen : ndarray of bool, shape (N,)
+        Whether the particle was seen in this frame.
+    p, velocity_phasor : ndarray of complex, shape (N,)
+        Position [m] and c = v e^{iφ}.
+    p_var, phasor_var : ndarray, shape (N,)
+        Their variances per axis.
+    cross : ndarray of complex, shape (N,)
+        Half the mean of p̃ c̃*.
     """
 
     t: float
@@ -89,11 +124,29 @@ def answer(
     state: State, ahead: Step, shared: SharedKnowledge, conditions: Conditions,
     diagnosis: tuple[str, ...], begun_anew: tuple[str, ...], aging: complex,
 ) -> Estimates:
-    """A filter's `state` in terms of speed, φ and force, and as after the step `ahead`.
+    """Convert the state of the filter to speed, φ, force and a prediction.
 
-    With what is `shared` by all, the `conditions` of the rig and the sentences of a
-    `diagnosis` and on whom was `begun_anew`; `aging` is the factor by which the model has
-    changed every v e^{iφ} since its start.
+    Parameters
+    ----------
+    state : State
+        State of the filter.
+    ahead : Step
+        Step over the prediction horizon.
+    shared : SharedKnowledge
+        Noise and delay.
+    conditions : Conditions
+        Conditions of the rig.
+    diagnosis : tuple of str
+        Sentences on what makes numbers doubtful.
+    begun_anew : tuple of str
+        Sentences on restarted particles.
+    aging : complex
+        Factor by which the model has changed every v e^{iφ} since its start.
+
+    Returns
+    -------
+    Estimates
+        The estimates.
     """
     std = np.sqrt(state.phasor_var)
     speeds = polar(state.velocity_phasor * aging, std * abs(aging)).widened(
@@ -117,7 +170,7 @@ def answer(
 @numba.njit(cache=True)
 def _look_ahead(std, speed, speed_std, phi, phi_std, force, force_std, p, c, p_var, phasor_var,  # type: ignore[no-untyped-def]
                 cross, path, drift, diffused):
-    """What is known (N,), and where particles will be, with its spread; the rest is made NaN."""
+    """Return what is known (N,), and predictions with their spread; make the rest NaN."""
     known, prediction, spread = np.empty(len(p), np.bool_), np.empty_like(p), np.empty(len(p))
     for n in range(len(p)):
         way, carried = path[min(n, len(path) - 1)], drift[min(n, len(drift) - 1)]

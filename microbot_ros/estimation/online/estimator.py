@@ -1,4 +1,4 @@
-"""The online estimator: where every particle is, how fast and which way it swims."""
+"""Online estimator of position, speed and direction of every particle."""
 
 from __future__ import annotations
 
@@ -30,27 +30,36 @@ from microbot_ros.model.physics.vectors import as_complex
 __all__ = ['Estimates', 'Estimator', 'Settings']
 
 LONGEST_OPENING = 200
-"""Frames after which the first ones are no longer kept to be filtered again."""
+"""Frames after which the first ones are not kept for a second filtering. Choice: some seconds."""
 
 NOTED = 5.0
-"""Seconds for which a sentence stays in the diagnosis."""
+"""Time [s] for which a sentence stays in the diagnosis. Choice: long enough to be read."""
 
 CHANGE_INTERVAL = 3600.0
-"""Mean seconds between abrupt changes of one particle's speed or direction."""
+"""Mean time [s] between abrupt changes of one particle's speed or direction.
+
+Choice: an hour; a shorter one takes noise for changes more often, a longer one finds them later.
+"""
 
 WANDER = 1e-3
-"""Relative random walk of speed and direction in one second."""
+"""Relative random walk of speed and direction in one second.
+
+Choice: a change of 1 % in 100 s is followed; a larger value blurs constant speeds.
+"""
 
 FARTHEST = 1.0
-"""A place beyond this [m], or read with such a σ, is in no microscope's field of view."""
+"""Largest coordinate or σ of a reading [m]. Choice: beyond any stage, so only errors exceed it."""
 
 BEST = 0.01
-"""Variance of the best readings in a frame over that of its typical ones, at least."""
+"""Smallest variance of a reading in a frame, relative to that of typical ones.
+
+Choice: a σ of a tenth; a reading that claims more is not trusted.
+"""
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """The usable readings of one frame: time, identities (n,), complex places, σ or NaN."""
+    """Usable readings of one frame: time, identities (n,), complex places, and σ or NaN."""
 
     t: float
     ids: np.ndarray
@@ -59,12 +68,19 @@ class _Frame:
 
 
 class Estimator:
-    """Exact filter for every particle, with what they share learned from the recent past.
+    """Exact filter of every particle, with noise and delay learned from the recent past.
 
-    Under the `conditions` of a rig, a user's `settings` and a `model`, by default the first-order
-    one.
-    Feed it commands and frames in the order of their time. One call of `update` costs about the
-    same for one particle as for a hundred: everything is an array over particles.
+    Call it with commands and frames in the order of their time. One call of `update` costs about
+    the same for one particle as for a hundred: all arrays are over particles.
+
+    Parameters
+    ----------
+    conditions : Conditions, optional
+        Conditions of the rig.
+    settings : Settings, optional
+        Settings of a user.
+    model : Model, optional
+        The model; by default the first-order one.
     """
 
     def __init__(
@@ -97,22 +113,33 @@ class Estimator:
         self._follow_headings()
 
     def _follow_headings(self) -> None:
-        """Make deviations of headings a state where headings lag; else they are noise."""
+        """Add heading deviations to the state where headings lag; else they are noise."""
         if self.model.lags and self._rotational_diffusion > 0:
             self._population.track_heading_deviations()
 
     @property
     def _rotational_diffusion(self) -> float:
-        """Rotational diffusion [rad²/s]; 0 where radius or viscosity are not known."""
+        """Rotational diffusion [rad²/s]; 0 if radius or viscosity are unknown."""
         return (stokes_einstein(self.conditions) or (0.0, 0.0))[1]
 
     @property
     def model(self) -> Model:
-        """The model that the filter runs on."""
+        """Model of the filter."""
         return self._propagator.model
 
     def load(self, path: str | Path) -> None:
-        """Filter with the `model.yaml` at `path`; InputError for a bad one: the old one stays."""
+        """Use the model of a file from the next frame on.
+
+        Parameters
+        ----------
+        path : str or Path
+            A `model.yaml`.
+
+        Raises
+        ------
+        InputError
+            If the file is not valid or its propulsion differs; the old model stays in use.
+        """
         model, _ = read_model(path)
         if model.propulsion != self.model.propulsion:
             raise InputError(path, f'expected propulsion: {self.model.propulsion}, as this '
@@ -120,7 +147,13 @@ class Estimator:
         self.use(model)
 
     def use(self, model: Model) -> None:
-        """Filter with another `model` from the next frame on; what is known of v and φ stays."""
+        """Use another model from the next frame on. Estimates of v and φ stay.
+
+        Parameters
+        ----------
+        model : Model
+            The model.
+        """
         self._propagator = Propagator(model)
         self._follow_headings()
         self._monitor = Monitor()
@@ -128,9 +161,19 @@ class Estimator:
             self._shared.forget_model()
 
     def command(self, t: float, field: np.ndarray, frequency: float | None = None) -> None:
-        """A command in force from `t` [s] on: `field` (2,) [T]; for rollers `frequency` [Hz].
+        """Add a command.
 
-        What is not finite or out of order is ignored and noted; a clock set back starts anew.
+        Commands that are not finite or out of order are ignored, with a note in the diagnosis. A
+        clock that is set back starts the log anew.
+
+        Parameters
+        ----------
+        t : float
+            Time from which it is in force [s].
+        field : ndarray, shape (2,)
+            Field [T].
+        frequency : float, optional
+            Frequency of rollers [Hz].
         """
         if math.isfinite(t) and t < self._log.last - SET_BACK:
             self._log = CommandLog()
@@ -139,13 +182,29 @@ class Estimator:
     def update(
         self, t: float, ids: np.ndarray, position: np.ndarray, sigma: np.ndarray | None = None,
     ) -> Estimates:
-        """A frame exposed at `t` [s]: `ids` (N,), `position` (N, 2) and its `sigma` (N,) [m].
+        """Update with a frame.
 
-        Readings that are not finite, or not of a microscope's size, are left out and their
+        Readings that are not finite, or beyond a microscope's size, are ignored, and their
         particles coast. A frame that is not newer than the one before changes nothing; a clock
-        set back starts everything anew. The camera's readings are made true ones by the model's
-        observation stage. A reading far from its prediction is refused, but never for longer than
-        a few frames: then its particle is begun anew from there.
+        that is set back restarts everything. The model's observation stage corrects the readings.
+        A reading far from its prediction is refused, but only for a few frames: then the particle
+        is restarted there.
+
+        Parameters
+        ----------
+        t : float
+            Time of exposure [s].
+        ids : ndarray of int, shape (N,)
+            Particles.
+        position : ndarray, shape (N, 2)
+            Positions [m].
+        sigma : ndarray, shape (N,), optional
+            Localisation errors as the tracker states them [m]; NaN where it does not.
+
+        Returns
+        -------
+        Estimates
+            The estimates after the frame.
         """
         if math.isfinite(t) and t < self._t - SET_BACK:
             self._start(self.model)
@@ -170,7 +229,7 @@ class Estimator:
         return self._answer(self._population.last_seen == t, begun)
 
     def _begun_anew(self, readings: Readings) -> tuple[str, ...]:
-        """What is to be said of particles whose predictions failed."""
+        """Return sentences on particles whose predictions failed."""
         ids = self._population.ids
         rows = [row for row in readings.jumped if self._population.restarts[row] < AGAIN]
         for row in rows:
@@ -185,7 +244,7 @@ class Estimator:
     def _usable(
         self, t: float, ids: np.ndarray, position: np.ndarray, sigma: np.ndarray | None,
     ) -> _Frame:
-        """The readings that are finite and the first of their identity."""
+        """Return the readings that are finite, the first of each identity."""
         ids, position = np.array(ids, int), np.array(position, float).reshape(-1, 2)
         sigma = np.full(len(ids), np.nan) if sigma is None else np.array(sigma, float)
         if not _in_order(ids, position):
@@ -205,7 +264,7 @@ class Estimator:
         return names, position[first], sigma[first]
 
     def _knowledge(self, sigma: np.ndarray) -> SharedKnowledge:
-        """What is shared; assumed from the conditions and the tracker at the first reading."""
+        """Return noise and delay; assumed from conditions and tracker at the first reading."""
         if self._shared is not None:
             return self._shared
         diffusion, _ = stokes_einstein(self.conditions) or (1e-13, 0.0)
@@ -218,7 +277,7 @@ class Estimator:
 
     def _filter(self, frame: _Frame, shared: SharedKnowledge,
                 ) -> tuple[Readings, list[tuple[int, float]]]:
-        """Predict and take one frame; its readings, and which c changed how long ago."""
+        """Predict and update with one frame; return its readings and which c changed."""
         bank, noise = self._population.bank, shared.noise
         start = self._t if math.isfinite(self._t) else frame.t - 1e-3
         step = self._propagator.advance(
@@ -242,7 +301,7 @@ class Estimator:
         return readings, self._population.consider_changes(frame.t, CHANGE_INTERVAL)
 
     def _watch(self, readings: Readings) -> None:
-        """Show the monitor what is left, once the noise is learned."""
+        """Pass the innovations to the monitor, once the noise is learned."""
         if self._opening is None:
             heading = self._propagator.heading
             self._monitor.add(self._t, self._population.ids, readings.innovation,
@@ -251,7 +310,7 @@ class Estimator:
     def _refilter_opening(self, frame: _Frame, shared: SharedKnowledge) -> None:
         """Filter the first frames again as soon as the noise has been learned from them.
 
-        Until then noise levels are assumed; frames weighed by wrong ones are never forgotten.
+        Until then noise levels are assumed, and frames weighted by wrong ones are never forgotten.
         """
         if self._opening is None:
             return
@@ -274,7 +333,7 @@ class Estimator:
             self._faults = (
                 *self._track_faults.find(state, self._log.last, moving),
                 *self._propagator.beyond_learned(self._log, shared.delay.value, self._t, swarm))
-        # What was noted before the first frame counts from that frame on.
+        # Notes from before the first frame count from that frame on.
         self._notes = {
             text: max(at, self._t) if math.isinf(at) else at
             for text, at in self._notes.items() if math.isinf(at) or self._t - at < NOTED
@@ -313,7 +372,7 @@ def _of_held(ids: set[int]) -> str:
 
 @numba.njit(cache=True)
 def _in_order(ids, position):  # type: ignore[no-untyped-def]
-    """Whether `ids` (N,) ascend and every `position` (N, 2) is one in a microscope."""
+    """Return whether `ids` (N,) ascend and every `position` (N, 2) fits a microscope."""
     for n in range(len(ids)):
         if n and not ids[n - 1] < ids[n]:
             return False
@@ -324,10 +383,10 @@ def _in_order(ids, position):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _reading_variance(level, sigma, blur):  # type: ignore[no-untyped-def]
-    """Variance (N,) of each reading: the learned `level`, shared out as the tracker says.
+    """Return the variance (N,) of each reading: the learned `level`, distributed by `sigma` (N,).
 
-    `sigma` (N,) as it states them; exposures take a variance of `blur` off. A reading far better
-    than the others is not trusted as far, and one far worse is no worse than is stated.
+    An exposure reduces it by `blur`. A reading far better than the others is not trusted as far,
+    and one far worse is not worse than stated.
     """
     stated = sigma[(sigma > 0) & (sigma < FARTHEST)]
     typical = np.median(stated) if len(stated) else 1.0

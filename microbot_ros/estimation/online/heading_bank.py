@@ -1,4 +1,4 @@
-"""The filter bank for particles with a lagging heading and rotational diffusion."""
+"""Filter bank for particles with a lagging heading and rotational diffusion."""
 
 from __future__ import annotations
 
@@ -10,19 +10,24 @@ from microbot_ros.estimation.online.bank import PhasorBank
 
 
 class HeadingBank(PhasorBank):
-    """A PhasorBank with the deviation of every heading from the model's as a third state.
+    """PhasorBank with the deviation of each heading from the model's as a third state.
 
-    Of `hypotheses` as there. Where headings align at a finite rate, rotational diffusion makes
-    them deviate by η from the course that the model gives; a deviation decays slowly, or grows
-    while a turn is sharper than 90°. In the frame of c it is s = i c η: displacements gain
-    −i · b · s, with b the derivative of ∫e^{i(θ−φ)} dt by the heading. That is linear again. The
-    noise acts across the direction of travel; here its variance is shared between the axes, which
-    keeps the covariance isotropic.
+    Where headings align at a finite rate, rotational diffusion makes them deviate by η from the
+    course of the model. A deviation decays slowly, or grows while a turn is sharper than 90°. In
+    the frame of c it is s = i c η, and displacements gain −i · b · s, with b the derivative of
+    ∫e^{i(θ−φ)} dt by the heading. That is linear again. The noise acts across the direction of
+    travel; its variance is split equally between the axes, which keeps the covariance isotropic.
 
     Given c, s has variance `s_var`, regression `gs` on c, and covariance `ps` = ½ E p̃ s̃*.
+
+    Parameters
+    ----------
+    hypotheses : int
+        As for `PhasorBank`.
     """
 
     _ARRAYS: ClassVar[tuple[str, ...]] = (*PhasorBank._ARRAYS, 's', 'gs', 'ps', 's_var')
+    """Names of all arrays (K, N)."""
 
     def __init__(self, hypotheses: int) -> None:
         super().__init__(hypotheses)
@@ -30,7 +35,18 @@ class HeadingBank(PhasorBank):
 
     @classmethod
     def of(cls, bank: PhasorBank) -> Self:
-        """The particles of a `bank`, known as they are, their headings without deviation."""
+        """Make a bank from one without headings.
+
+        Parameters
+        ----------
+        bank : PhasorBank
+            The particles.
+
+        Returns
+        -------
+        HeadingBank
+            The same particles, with headings that do not deviate.
+        """
         grown = cls(bank.p.shape[0])
         for name in PhasorBank._ARRAYS:
             setattr(grown, name, getattr(bank, name))
@@ -52,12 +68,17 @@ class HeadingBank(PhasorBank):
     def predict_deviation(
         self, sensitivity: np.ndarray, retention: np.ndarray, heading_noise: float,
     ) -> None:
-        """Move deviations of headings on to the next frame, and p by them; before `predict`.
+        """Advance the deviations of headings to the next frame, and p by them; before `predict`.
 
-        `sensitivity` (N,) complex [s]: the derivative of the path by the heading at the last
-        frame, and `retention` (N,): the part of a deviation that is left at the next, both of
-        `model.increments.heading_response`. `heading_noise` = 2 D_r h is the variance [rad²] that
-        rotational diffusion adds.
+        Parameters
+        ----------
+        sensitivity : ndarray of complex, shape (N,)
+            Derivative of the path by the heading at the last frame [s], from
+            `model.increments.heading_response`.
+        retention : ndarray, shape (N,)
+            Fraction of a deviation that remains at the next frame.
+        heading_noise : float
+            Variance 2 D_r h that rotational diffusion adds [rad²].
         """
         b = -1j * sensitivity
         floor = 1e-9 * (self.p_var + np.abs(b) ** 2 * self.s_var)
@@ -74,7 +95,17 @@ class HeadingBank(PhasorBank):
         self._bound()
 
     def update(self, z: np.ndarray, noise: np.ndarray, seen: np.ndarray) -> None:
-        """Take positions `z`, `noise` and `seen` as the plain bank does; deviations learn too."""
+        """Update with positions as the plain bank does, deviations included.
+
+        Parameters
+        ----------
+        z : ndarray of complex, shape (N,)
+            Positions [m].
+        noise : ndarray, shape (N,)
+            Variances of the readings [m²].
+        seen : ndarray of bool, shape (N,)
+            Which particles have a reading.
+        """
         residual, given_c = z - self.p, self.p_var + noise
         total = given_c + np.abs(self.g) ** 2 * self.phasor_var
         gain = (np.conj(self.ps) + self.gs * np.conj(self.g) * self.phasor_var) / total
@@ -82,7 +113,7 @@ class HeadingBank(PhasorBank):
         self.gs -= np.where(seen, np.conj(self.ps) / given_c * self.g, 0)
         kept = np.where(seen, noise / given_c, 1)
         learned = np.where(seen, np.abs(self.ps) ** 2 / given_c, 0)
-        # At least what a perfect correlation would leave: positive whatever the rounding.
+        # At least the rest after a perfect correlation: positive despite rounding errors.
         self.s_var = np.maximum(self.s_var - learned, self.s_var * kept)
         self.ps *= kept
         super().update(z, noise, seen)
@@ -104,7 +135,7 @@ class HeadingBank(PhasorBank):
         self.s[slot], self.ps[slot], self.s_var[slot] = self.s[0], self.ps[0], self.s_var[0]
 
     def _bound(self) -> None:
-        """Rounding must not correlate p and s more than wholly."""
+        """Limit the correlation of p and s to 1 against rounding errors."""
         limit = np.sqrt(self.p_var * self.s_var)
         size = np.abs(self.ps)
         self.ps *= np.where(size > limit, limit / np.where(size > 0, size, 1), 1)

@@ -1,4 +1,4 @@
-"""Particles that jumped, each in one sentence however often it did."""
+"""Notes on particles that jumped, one sentence each."""
 
 from __future__ import annotations
 
@@ -14,21 +14,48 @@ class _Jumps:
 
 
 class JumpNotes:
-    """What is to be said of jumps, until a particle has stayed for `seconds` [s]."""
+    """Notes on jumps, kept until a particle has not jumped for some time.
+
+    Parameters
+    ----------
+    seconds : float
+        That time [s].
+    """
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
         self._of: dict[int, _Jumps] = {}
 
     def add(self, t: float, name: int, length: float) -> None:
-        """The particle `name` jumped at `t` [s] by a `length` [m]."""
+        """Add a jump.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        name : int
+            The particle.
+        length : float
+            Length of the jump [m].
+        """
         known = self._of.setdefault(name, _Jumps(0, length, length, t))
         known.count += 1
         known.least, known.most = min(known.least, length), max(known.most, length)
         known.last = t
 
     def sentences(self, t: float) -> tuple[str, ...]:
-        """One for each particle that jumped in the seconds before `t` [s]."""
+        """Return a sentence for each particle that jumped recently.
+
+        Parameters
+        ----------
+        t : float
+            Time now [s].
+
+        Returns
+        -------
+        tuple of str
+            Sorted by particle.
+        """
         self._of = {name: jumps for name, jumps in self._of.items()
                     if t - jumps.last < self._seconds}
         return tuple(

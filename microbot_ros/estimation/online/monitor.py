@@ -1,13 +1,12 @@
-"""Does the model still explain the data? Tested at every moment, with few false alarms in total.
+"""Sequential test of whether the model explains the data, with few false alarms in total.
 
 Under the model the filter's innovations are white, of unit variance, and independent of all that
-was known before them. Against each way in which they might not be stands a *detector*: a bet at
-fair odds that the innovations lean on some known quantity x. With S = Σ Re(x* z) and V = Σ |x|²
-the stake grows by exp(λS − |λ|εV − λ²V/2), on average not at all while the lean stays within the
-tolerance ε. New stakes are laid all the time (Shiryaev–Roberts), so a change at any moment is
-met; the sum of all stakes after n ticks exceeds a bound b with a probability of at most n/b,
-whatever the data and however long one watches (Ville's inequality; e-detectors of Shin, Ramdas
-and Rinaldo 2022).
+was known before them. Each way in which they may not be has a *detector*: a bet at fair odds that
+the innovations depend on some known quantity x. With S = Σ Re(x* z) and V = Σ |x|² the stake grows
+by exp(λS − |λ|εV − λ²V/2), on average not at all while the dependence is within the tolerance ε.
+New stakes are added all the time (Shiryaev–Roberts), so a change at any moment is found. The sum
+of all stakes after n ticks exceeds a bound b with a probability of at most n/b, for any data and
+any duration (Ville's inequality; e-detectors of Shin, Ramdas and Rinaldo 2022).
 """
 
 from __future__ import annotations
@@ -21,33 +20,50 @@ import numpy as np
 from microbot_ros.common.compiled import numba
 
 TICK = 0.5
-"""Seconds between looks at the stakes."""
+"""Time [s] between evaluations of the stakes. Choice: the delay of an alarm at most."""
 
 BOUND = 10.0 * 3600 / TICK * 20
-"""Alarm where the stakes have grown to this: at most 1 false alarm in 20 times ten hours."""
+"""Sum of stakes that raises an alarm: at most 1 false alarm in 20 times ten hours.
+
+Choice: an alarm is worth a look; a tenth of the rate delays it by log 10 in evidence.
+"""
 
 HOLD = 30.0
-"""An alarm stays for this long [s] after it was last confirmed."""
+"""Time [s] for which an alarm stays after its last confirmation. Choice: enough to read it."""
 
 LEANS = np.array([0.03, 0.1, 0.3, 0.8])
-"""Sizes of lean that are bet on, in standard deviations of an innovation."""
+"""Tested dependences, in standard deviations of an innovation. Choice: a factor of 3 apart."""
 
 SPREADS = np.array([0.3, 0.5, 2.0, 4.0])
-"""Variances of the innovations that are bet on, where 1 is right."""
+"""Tested variances of the innovations, where 1 is correct. Choice: a factor of 2 apart."""
 
 TOLERATED_SPREAD = 1.3
-"""Noise levels are learned, not known: variances up to this, or its inverse, are no alarm."""
+"""Variance up to which, or to its inverse, there is no alarm.
+
+Choice: noise levels are learned, not known; a smaller value alarms on errors of these.
+"""
 
 PLACE_SCALE = 100e-6
+"""Unit of length [m] of the dependence on place. Choice: a usual field of view."""
+
 AFTER_TURN = 0.3
+"""Time [s] over which innovations may depend on the last turn. Choice: a usual alignment time."""
 
 
 @dataclass(frozen=True)
 class Detector:
-    """A bet against one dependence of the innovations, of that `name`.
+    """Bet on one dependence of the innovations.
 
-    `tolerance`: the lean that is no alarm; `sentence` for people; `stake`: how much is bet on it;
-    little on what is but a symptom of the others.
+    Attributes
+    ----------
+    name : str
+        Name of the detector.
+    tolerance : float
+        Dependence that raises no alarm, in standard deviations of an innovation.
+    sentence : str
+        Cause and advice, for people.
+    stake : float
+        Share of the bet; small for what is only a symptom of other dependences.
     """
 
     name: str
@@ -57,6 +73,8 @@ class Detector:
 
 
 _RUN = 'record a minute and run: microbot discover SESSION'
+"""Advice to run a search."""
+
 DETECTORS = {s.name: s for s in (
     Detector('drift', 0.01, f'everything is carried along in one direction (a flow?): {_RUN}'),
     Detector('place', 0.01, 'residuals depend on place (a flow, a gradient, a hot spot?): '
@@ -73,17 +91,18 @@ DETECTORS = {s.name: s for s in (
               'tracking, something new?): look at the picture, then run: microbot fit SESSION',
               1e-2),
 )}
+"""All detectors by name. Choice: tolerances are what learned noise, delay and speeds leave."""
 
 FEATURES = (
     'drift', 'drift', 'place', 'place', 'place', 'place', 'swimming', 'swimming',
     'command', 'command', 'command', 'command', 'command', 'command', 'command', 'command',
     'turn', 'turn', 'memory',
 )
-"""The detector that each quantity of `_add` belongs to, on which innovations might lean."""
+"""The detector of each quantity in `_add`."""
 
 
 class Monitor:
-    """Tests the innovations of all particles together; `sentences` says what is wrong."""
+    """Tests of the innovations of all particles together."""
 
     def __init__(self) -> None:
         tolerance = np.array([DETECTORS[name].tolerance for name in FEATURES])[:, None]
@@ -98,7 +117,7 @@ class Monitor:
         self._alarms: dict[str, float] = {}
         self._next = -np.inf
         self._turned = np.array([-np.inf, 0.0])
-        """When the field last turned, and which way."""
+        """Time of the last turn of the field [s], and its sense."""
         self._heading = np.zeros(1, complex)
         self._before: tuple[np.ndarray, np.ndarray] = (np.empty(0, int), np.empty(0, complex))
         self._clear()
@@ -112,11 +131,24 @@ class Monitor:
         self, t: float, ids: np.ndarray, innovation: np.ndarray, place: np.ndarray,
         heading: np.ndarray, swimming: np.ndarray,
     ) -> None:
-        """A frame at `t` [s]: whitened `innovation` (N,), NaN where none, of particles `ids` (N,).
+        """Add a frame.
 
-        All else was known before it. `place` (N,) complex [m]; `heading` (1 or N,) e^{i(θ−φ)};
-        `swimming` (N,) unit phasors of the direction in which each particle moves, 0 where it is
-        not known.
+        All quantities except the innovations were known before the frame.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        ids : ndarray of int, shape (N,)
+            Particles, ascending.
+        innovation : ndarray of complex, shape (N,)
+            Whitened innovations; NaN where there is none.
+        place : ndarray of complex, shape (N,)
+            Predicted positions [m].
+        heading : ndarray of complex, shape (1 or N,)
+            e^{i(θ−φ)}.
+        swimming : ndarray of complex, shape (N,)
+            Unit phasors of the direction of travel; 0 where unknown.
         """
         squares, count = _add(
             self._score, self._power, innovation, place, heading, self._heading, swimming, ids,
@@ -146,7 +178,7 @@ class Monitor:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What is wrong at present, with the command to run next."""
+        """Present alarms, each with the command to run next."""
         return tuple(
             f'the model does not explain the data: {DETECTORS[name].sentence}'
             for name in self._alarms
@@ -156,10 +188,10 @@ class Monitor:
 @numba.njit(cache=True)
 def _add(score, power, innovation, place, heading, heading_before, swimming, ids, ids_before,  # type: ignore[no-untyped-def]
          before, t, turned):
-    """Add a frame to the scores and powers (F,); the sum of squares, and how many innovations.
+    """Add a frame to the scores and powers (F,); return Σ squares and number of innovations.
 
-    `before` are the innovations of the frame before, of particles `ids_before` (M,), ascending as
-    `ids`. `turned` (2,) is renewed where the heading has turned.
+    `before` are the innovations of the frame before, of particles `ids_before` (M,), which ascend
+    as `ids`. `turned` (2,) is updated where the heading has turned.
     """
     if len(heading) == len(heading_before):
         angle = cmath.phase((heading * heading_before.conj()).sum())

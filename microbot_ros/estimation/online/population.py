@@ -1,5 +1,4 @@
-"""Which particles there are, and one frame's readings brought to the filter: gated, born, dropped.
-"""
+"""Particles of the online filter: gating, birth, restart and removal."""
 
 from __future__ import annotations
 
@@ -14,43 +13,74 @@ from microbot_ros.estimation.online.bank import Mixture, PhasorBank
 from microbot_ros.estimation.online.heading_bank import HeadingBank
 
 HYPOTHESES = 7
-"""Nothing changed, or c changed about 0.25, 0.5, 1, 2, 4 or 8 s ago."""
+"""Number of hypotheses: no change, or a change about 0.25, 0.5, 1, 2, 4 or 8 s ago.
+
+Choice: older changes are part of the state; each costs time in every frame.
+"""
 
 TICK = 0.25
-"""Seconds between moments at which a change of c is considered."""
+"""Time [s] between moments at which a change of c is considered. Choice: the least age above."""
 
 GATE = 30.0
-"""Squared distance beyond which a reading is an outlier: χ² of two axes, 3e-7 by chance."""
+"""Squared distance above which a reading is an outlier: χ² of two axes, 3e-7 by chance."""
 
 JUMP_FRAMES, JUMP_SECONDS = 5, 0.5
-"""Consecutive outliers, or seconds of them, after which the particle really is there."""
+"""Consecutive outliers, or seconds of them (`JUMP_SECONDS`), after which the particle is
+restarted.
+
+Choice: fewer follow a confused track, more lose a particle that was moved."""
 
 CALM, OFTEN = 10.0, 10.0
-"""A particle that is begun anew about so OFTEN in so many seconds, or more than once with a c that
-has been all ways, is *restless* for as long: what moves it is not what the model says. A swimmer
-that is late after turns is begun anew too, but its c stays about the same."""
+"""Time [s] for which a particle is *restless*, and the number (`OFTEN`) of restarts in it that
+makes it so.
+
+More than one restart suffices if its c has had all directions. The model does not describe what
+moves such a particle. A swimmer that is late after turns is restarted too, but keeps about the
+same c. Choice: shorter times forget a restless particle before it is restarted again."""
 
 AGAIN = 1.5
-"""Restarts in CALM seconds, fading, from which the last was not the only one."""
+"""Restarts in CALM seconds, decaying, above which the last was not the only one.
+
+Choice: one counts 1, two within 7 s more than 1.5.
+"""
 
 SAME = 1 / 3
-"""Least |mean of c|² over the mean of |c|² of a particle that follows the field."""
+"""Smallest |mean of c|² over the mean of |c|² of a particle that follows the field.
+
+Choice: as of directions spread evenly over ±100°.
+"""
 
 KNOWN = 0.01
-"""c is known once its variance is less than this part of what it was before anything was seen."""
+"""Fraction of its prior variance below which c is known. Choice: a tenth of the prior's width."""
 
 MOST_CORRECTED = 2.0
-"""A better delay that would change speeds by more than this factor says nothing of them."""
+"""Factor on speeds above which a better delay does not correct them.
+
+Choice: a larger one is extrapolation.
+"""
 
 
 class Readings(NamedTuple):
-    """What became of a frame's readings: all (N,) over the population.
+    """Readings of a frame for all N particles of the population.
 
-    `z` are the places read [m], of those `seen`; `used` the readings that the filter took, and
-    `innovation` complex, whitened to unit variance per axis, NaN where none was taken; `jump`
-    complex [m], by how far a particle was moved, else 0, and `jumped`, the rows where one was.
-    `restless`: whom nothing should be learned from. Known before the frame: the `predicted` place
-    [m] and `direction`, the unit phasor of c, 0 where that is not known to within a third.
+    Attributes
+    ----------
+    z : ndarray of complex, shape (N,)
+        Positions of the particles that were `seen` [m].
+    seen, used : ndarray of bool, shape (N,)
+        Which have a reading, and which readings the filter used.
+    predicted : ndarray of complex, shape (N,)
+        Position predicted before the frame [m].
+    direction : ndarray of complex, shape (N,)
+        Unit phasor of c before the frame; 0 if not known to within a third.
+    innovation : ndarray of complex, shape (N,)
+        Whitened to unit variance per axis; NaN where unused.
+    jump : ndarray of complex, shape (N,)
+        Distance by which a particle was moved [m]; else 0.
+    jumped : ndarray of int
+        Indices of moved particles.
+    restless : ndarray of bool, shape (N,)
+        Particles from which nothing should be learned.
     """
 
     z: np.ndarray
@@ -67,12 +97,16 @@ class Readings(NamedTuple):
 class Population:
     """Particles by identity, `ids` (N,) ascending, each a column of the filter bank.
 
-    A new one has a velocity phasor of 0 ± `phasor_prior_std` [m/s, or m/s/Hz] per axis.
+    Parameters
+    ----------
+    phasor_prior_std : float
+        Standard deviation of a new particle's velocity phasor per axis [m/s, or m/s/Hz].
     """
 
     _BIRTH: ClassVar[dict[str, complex]] = {
         'last_seen': -np.inf, '_outliers': 0, '_refused': -np.inf, '_begun': -np.inf,
         'restarts': 0.0, '_restless_until': -np.inf, '_phasor_mean': 0j, '_phasor_power': 0.0}
+    """Values of a new particle."""
 
     def __init__(self, phasor_prior_std: float) -> None:
         self.bank = PhasorBank(HYPOTHESES)
@@ -81,23 +115,37 @@ class Population:
         self._phasor_prior_var = phasor_prior_std**2
         self._outliers = np.empty(0, int)
         self._refused, self._begun, self._restless_until = np.empty((3, 0))
-        """When the first of the consecutive outliers came, when the particle was last begun anew,
-        and until when it is restless [s]."""
+        """Times [s] of the first of consecutive outliers, of the last restart, and of the end of
+        restlessness."""
         self.restarts = np.empty(0)
-        """How often in the last CALM seconds it was begun anew, fading."""
+        """Restarts in the last CALM seconds, decaying."""
         self._phasor_mean, self._phasor_power = np.empty(0, complex), np.empty(0)
-        """Mean of c and of |c|² over the last CALM seconds in which it was known, fading."""
+        """Means of c and |c|² over the last CALM seconds in which c was known, decaying."""
         self._next_tick = -np.inf
 
     def track_heading_deviations(self) -> None:
-        """From now on, make the deviation of every heading from the model's a state too."""
+        """Add the heading deviation of each particle to the filter state."""
         if not isinstance(self.bank, HeadingBank):
             self.bank = HeadingBank.of(self.bank)
 
     def take(self, t: float, ids: np.ndarray, z: np.ndarray, reading: np.ndarray) -> Readings:
-        """Bring a frame's readings at `t` [s] to the filter: gate, admit, update.
+        """Gate the readings of a frame, admit new particles, and update the filter.
 
-        Of distinct particles `ids` (n,): complex positions `z` [m], `reading` their variance [m²].
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        ids : ndarray of int, shape (n,)
+            Distinct particles.
+        z : ndarray of complex, shape (n,)
+            Positions [m].
+        reading : ndarray, shape (n,)
+            Variances of the positions [m²].
+
+        Returns
+        -------
+        Readings
+            For all particles of the population.
         """
         born = self._admit(t, ids, z, reading)
         bank, weight = self.bank, self.bank.weights()
@@ -125,8 +173,20 @@ class Population:
         self.bank.restart(rows, readings.z[rows], noise[rows], self._phasor_prior_var)
 
     def known(self, t: float, held: Collection[int] = ()) -> Mixture:
-        """The estimates at `t` [s]; of the c of a particle that is restless, or `held` by a wall,
-        what is known of any."""
+        """Return the estimates.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        held : collection of int, optional
+            Particles that a wall holds.
+
+        Returns
+        -------
+        Mixture
+            The c of restless or held particles is that of an unknown particle.
+        """
         known, unknown = self.bank.combined(), self._restless_until > t
         if held:
             unknown = unknown | np.isin(self.ids, list(held))
@@ -136,17 +196,28 @@ class Population:
         return known
 
     def begin_anew(self, names: Collection[int]) -> None:
-        """Forget the c of the particles with these `names`."""
+        """Forget the c of particles.
+
+        Parameters
+        ----------
+        names : collection of int
+            The particles.
+        """
         rows = np.flatnonzero(np.isin(self.ids, list(names)))
         if len(rows):
             known = self.bank.combined()
             self.bank.restart(rows, known.p[rows], known.p_var[rows], self._phasor_prior_var)
 
     def correct_velocity_phasors(self, factor: complex) -> None:
-        """Multiply every c by a complex `factor`, as after a better value of the delay.
+        """Multiply every c by a factor, as after a better value of the delay.
 
-        One that more than doubles or halves speeds is an extrapolation too far: then every c may
-        be what it was, or anything.
+        A factor that more than doubles or halves speeds is an extrapolation: then every c may be
+        what it was, or anything.
+
+        Parameters
+        ----------
+        factor : complex
+            The factor.
         """
         if 1 / MOST_CORRECTED < abs(factor) < MOST_CORRECTED:
             self.bank.scale_velocity_phasor(factor)
@@ -156,9 +227,19 @@ class Population:
                 np.arange(len(self.ids)), known.p, known.p_var, self._phasor_prior_var)
 
     def consider_changes(self, t: float, interval: float) -> list[tuple[int, float]]:
-        """Reopen hypotheses at `t` [s] if it is time: rows whose c changed, and how long ago [s].
+        """Reopen hypotheses if it is time.
 
-        `interval` is the mean time [s] between changes of one particle.
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        interval : float
+            Mean time between changes of one particle [s].
+
+        Returns
+        -------
+        list of (int, float)
+            Indices of particles whose c changed, and how long ago [s].
         """
         if t < self._next_tick:
             return []
@@ -173,7 +254,13 @@ class Population:
         return [(int(row), float(ago[row])) for row in np.flatnonzero(ago)]
 
     def forget(self, before: float) -> None:
-        """Drop particles not seen since `before` [s]."""
+        """Drop particles that were not seen recently.
+
+        Parameters
+        ----------
+        before : float
+            Time of the last sighting below which they are dropped [s].
+        """
         kept = self.last_seen >= before
         if not kept.all():
             self._select(kept)
@@ -201,7 +288,7 @@ class Population:
 @numba.njit(cache=True, error_model='numpy')
 def _gate(ids, seen_ids, z, reading, born, weight, p, c, g, p_var, phasor_var, outliers,  # type: ignore[no-untyped-def]
           last_seen, refused, restless, t):
-    """The fields of `Readings`; the readings' variance and whom to update, (N,)."""
+    """Return the fields of `Readings`, the readings' variances and what to update, (N,)."""
     hypotheses, count = p.shape
     place, noise = np.zeros(count, np.complex128), np.ones(count)
     seen = np.zeros(count, np.bool_)
@@ -242,5 +329,5 @@ def _gate(ids, seen_ids, z, reading, born, weight, p, c, g, p_var, phasor_var, o
 
 @numba.njit(cache=True, inline='always')
 def _innovation(z, p, g, p_var, phasor_var):  # type: ignore[no-untyped-def]
-    """Place less prediction, and the variance of that per axis, but for the reading's own."""
+    """Return place less prediction, and its variance per axis without the reading's own."""
     return z - p, p_var + (g.real**2 + g.imag**2) * phasor_var

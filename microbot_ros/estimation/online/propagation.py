@@ -1,4 +1,4 @@
-"""From frame to frame: the commands so far, through the model, to what moves every particle."""
+"""Motion of particles from frame to frame, from the commands through the model."""
 
 from __future__ import annotations
 
@@ -14,12 +14,26 @@ from microbot_ros.model.physics.vectors import as_vectors
 from microbot_ros.model.timeline import Timeline
 
 HEADING_MEMORY = 10.0
-"""Seconds of commands from which the course of a lagging heading is followed anew."""
+"""Time [s] of commands from which a lagging heading is integrated anew.
+
+Choice: many alignment times; a longer one costs time in every frame.
+"""
 _NO_DRIFT = np.zeros(1, complex)
+"""Drift of a first-order model."""
 
 
 class Step(NamedTuple):
-    """In `span` [s] a particle moves by c·`path` + `drift` (1 or N,), complex, c = v e^{iφ}."""
+    """Displacement c·`path` + `drift` of particles in an interval, c = v e^{iφ}.
+
+    Attributes
+    ----------
+    path : ndarray of complex, shape (1 or N,)
+        Displacement per unit c [s].
+    drift : ndarray of complex, shape (1 or N,)
+        Displacement by drift [m].
+    span : float
+        Length of the interval [s].
+    """
 
     path: np.ndarray
     drift: np.ndarray
@@ -27,7 +41,17 @@ class Step(NamedTuple):
 
 
 class Swarm(NamedTuple):
-    """Who is where: `ids` (N,), `position` (N,) complex [m], `velocity_phasor` v e^{iφ} (N,)."""
+    """State of N particles.
+
+    Attributes
+    ----------
+    ids : ndarray of int, shape (N,)
+        Particles.
+    position : ndarray of complex, shape (N,)
+        Positions [m].
+    velocity_phasor : ndarray of complex, shape (N,)
+        v e^{iφ}.
+    """
 
     ids: np.ndarray
     position: np.ndarray
@@ -35,7 +59,13 @@ class Swarm(NamedTuple):
 
 
 class Propagator:
-    """Integrates a model's response exactly between frames, remembering the heading."""
+    """Exact integration of a model's response between frames, with memory of the heading.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    """
 
     def __init__(self, model: Model) -> None:
         self.model = model
@@ -45,9 +75,23 @@ class Propagator:
     def advance(
         self, log: CommandLog, delay: float, start: float, end: float, swarm: Swarm,
     ) -> Step:
-        """What happens from `start` to `end` [s], the next frame; the heading goes on with it.
+        """Integrate to the next frame, with the heading.
 
-        Under the commands of `log`, `delay` [s] late; of a `swarm` as it is at `start`.
+        Parameters
+        ----------
+        log : CommandLog
+            Commands.
+        delay : float
+            Delay of the commands [s].
+        start, end : float
+            Times of the last and the next frame [s].
+        swarm : Swarm
+            Particles at `start`.
+
+        Returns
+        -------
+        Step
+            The displacement.
         """
         step, self.heading = self._respond(log, delay, start, end, swarm)
         return step
@@ -55,11 +99,25 @@ class Propagator:
     def heading_deviation(
         self, log: CommandLog, delay: float, start: float, end: float,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What a deviation of the heading at `start` [s] does until `end` [s], for c = 1.
+        """Return the effect of a deviation of the heading, for c = 1.
 
-        The derivative (1,) of the path [s] by the heading, complex, and the part of the deviation
-        (1,) that is left (see `model.increments.heading_response`). With the commands of `log`,
-        `delay` [s] late.
+        See `model.increments.heading_response`.
+
+        Parameters
+        ----------
+        log : CommandLog
+            Commands.
+        delay : float
+            Delay of the commands [s].
+        start, end : float
+            Times of the last and the next frame [s].
+
+        Returns
+        -------
+        sensitivity : ndarray of complex, shape (1,)
+            Derivative of the path by the heading at `start` [s].
+        retention : ndarray, shape (1,)
+            Fraction of the deviation that remains at `end`.
         """
         commands = log.since(start - self.model.delay - HEADING_MEMORY, delay)
         timeline = Timeline(commands, np.array([start, end]))
@@ -70,17 +128,45 @@ class Propagator:
     def look_ahead(
         self, log: CommandLog, delay: float, start: float, end: float, swarm: Swarm,
     ) -> Step:
-        """As `advance` from the last frame at `start` [s] to `end` [s]; the heading stays.
+        """Integrate as `advance` does, without changing the heading.
 
-        Under the commands of `log` so far, `delay` [s] late, of a `swarm`.
+        Parameters
+        ----------
+        log : CommandLog
+            Commands so far.
+        delay : float
+            Delay of the commands [s].
+        start, end : float
+            Time of the last frame, and time of the prediction [s].
+        swarm : Swarm
+            Particles at `start`.
+
+        Returns
+        -------
+        Step
+            The displacement.
         """
         return self._respond(log, delay, start, end, swarm)[0]
 
     def beyond_learned(self, log: CommandLog, delay: float, t: float,
                        swarm: Swarm) -> tuple[str, ...]:
-        """Sentences on who of a `swarm` at `t` [s] is where a learned term knows nothing.
+        """Return sentences on particles where a learned term has no data.
 
-        Under the commands of `log`, `delay` [s] late.
+        Parameters
+        ----------
+        log : CommandLog
+            Commands.
+        delay : float
+            Delay of the commands [s].
+        t : float
+            Time [s].
+        swarm : Swarm
+            Particles at `t`.
+
+        Returns
+        -------
+        tuple of str
+            One for each term.
         """
         if not self.model.learned:
             return ()
@@ -93,7 +179,7 @@ class Propagator:
     def _timeline(self, log: CommandLog, delay: float, start: float, end: float,
                   swarm: Swarm) -> Timeline:
         vectors = as_vectors(swarm.position)
-        # How long a command has stayed takes a look back.
+        # The time since a switch needs earlier commands.
         memory = HEADING_MEMORY if self.model.learned else 0.0
         return Timeline(
             log.since(start - self.model.delay - memory, delay), np.array([start, end]),
@@ -109,7 +195,7 @@ class Propagator:
                 self.model.propulsion == 'rolling')
             return Step(path, _NO_DRIFT, end - start), heading[1:]
         timeline = self._timeline(log, delay, start, end, swarm)
-        # A heading common to all is carried on; one of each, or none yet, follows from commands.
+        # A common heading is continued; separate or undefined ones follow from the commands.
         known = self.heading.size == 1 and self.heading[0] != 0
         response = respond(self.model, timeline, self.heading if known else None)
         moved = response.drift[0, :, 0] + 1j * response.drift[0, :, 1]

@@ -1,4 +1,4 @@
-"""What all particles share, learned from a sliding window: noise levels, delay, excitation."""
+"""Noise, delay and excitation that all particles share, learned from a sliding window."""
 
 from __future__ import annotations
 
@@ -16,24 +16,34 @@ from microbot_ros.estimation.online.window import Review, Window
 from microbot_ros.model.model import Model
 
 FIRST_REVIEW, REVIEW_EVERY = 0.5, 4.0
-"""Seconds from the first frame to the first review; seconds between reviews at most."""
+"""Time [s] from the first frame to the first review, and between reviews at most (`REVIEW_EVERY`).
+
+Choice: the first has enough increments; more frequent ones cost time of every frame.
+"""
 
 SLICE_EVERY, MOST_SLICES = 0.01, 8
-"""One slice of a review for so long [s] since the frame before, at most so many for one frame: a
-review takes as long at 20 frames a second as at 100."""
+"""Time [s] since the last frame for each slice of a review, and the most slices in one frame
+(`MOST_SLICES`).
+
+Choice: a review takes as long at 20 frames a second as at 100."""
 
 DOUBTED = 10.0
-"""Seconds for which most particles are restless until the noise levels are doubted, rather than
-the particles: a stage that is moved is no noise."""
+"""Time [s] for which most particles must be restless for the noise levels to be doubted instead.
+
+Choice: longer than a stage is moved, which is no noise.
+"""
 
 PRIOR_LOG_STD = 1.0
-"""How far D and σ² may be from what was assumed, as a standard deviation of their logarithm."""
+"""Prior standard deviation of log D and log σ² about what was assumed. Choice: a factor of e."""
 
 
 class SharedKnowledge:
-    """Noise and delay in use, renewed by reviews that are worked off a slice per frame.
+    """Noise and delay in use, updated by reviews that run one slice per frame.
 
-    They begin with an assumed `noise`.
+    Parameters
+    ----------
+    noise : Noise
+        Noise that is assumed at first.
     """
 
     def __init__(self, noise: Noise) -> None:
@@ -49,19 +59,29 @@ class SharedKnowledge:
         self._pause = FIRST_REVIEW
         self._t = -np.inf
         self._settled = -np.inf
-        """When most particles were last not restless [s]."""
+        """Last time [s] at which most particles were not restless."""
 
     def forget_model(self) -> None:
-        """Drop what was learned under another model, but the noise levels."""
+        """Drop what was learned under another model, except the noise levels."""
         self.delay, self.log_phasor_slope, self.sentences = Delay(), 0j, ()
         self._review = None
 
     def add(self, t: float, ids: np.ndarray, readings: Readings,
             changed: list[tuple[int, float]]) -> None:
-        """A frame at `t` [s] of particles `ids` (N,) with its `readings`.
+        """Add a frame.
 
-        `changed`: rows whose velocity phasor changed, and how long ago [s]. From restless ones
-        nothing is learned, unless most have been so for long.
+        Nothing is learned from restless particles, unless most have been restless for long.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        ids : ndarray of int, shape (N,)
+            Particles.
+        readings : Readings
+            Readings of the frame.
+        changed : list of (int, float)
+            Indices of particles whose velocity phasor changed, and how long ago [s].
         """
         restless = readings.restless
         if 2 * np.count_nonzero(restless) <= len(ids) or self._settled == -np.inf:
@@ -79,10 +99,23 @@ class SharedKnowledge:
         self._window.add(t, ids, readings.z, readings.used & ~restless)
 
     def work(self, t: float, model: Model, log: CommandLog, population: Population) -> bool:
-        """Go on with a review at `t` [s], if one is due or under way.
+        """Continue a review, if one is due or in progress.
 
-        Under a `model` and the commands of a `log`. True where a new delay corrected the
-        velocity phasors of the `population`.
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        model : Model
+            Model of the filter.
+        log : CommandLog
+            Commands.
+        population : Population
+            Particles, whose velocity phasors a new delay corrects.
+
+        Returns
+        -------
+        bool
+            Whether velocity phasors changed by more than 1 %.
         """
         span, self._t = t - self._t, t
         if self._next is None:
@@ -112,7 +145,7 @@ class SharedKnowledge:
         if not review.delay.determined:
             self.delay = replace(self.delay, std=np.nan)
             return False
-        # What the filter learned under the old delay, it would have learned turned by this.
+        # Under the new delay the filter would have learned velocity phasors times this factor.
         factor = np.exp(review.log_phasor_slope * (review.delay.value - self.delay.value))
         population.correct_velocity_phasors(factor)
         self.delay = review.delay
@@ -120,7 +153,7 @@ class SharedKnowledge:
 
 
 def _shrunk(prior: Noise, fitted: Noise) -> Noise:
-    """The fitted levels, drawn towards the assumed ones as far as the data are poor."""
+    """Return the fitted levels, shrunk towards the assumed ones as far as the data are poor."""
     def draw(assumed: float, value: float, std: float) -> float:
         trust = (PRIOR_LOG_STD * value) ** 2 / ((PRIOR_LOG_STD * value) ** 2 + std**2)
         return float(assumed * (value / assumed) ** trust)

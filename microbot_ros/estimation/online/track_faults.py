@@ -1,4 +1,4 @@
-"""Which particle, or which clock, is the culprit when numbers cannot be trusted."""
+"""Tracks and clocks that cannot be right, named when numbers are doubtful."""
 
 from __future__ import annotations
 
@@ -9,34 +9,54 @@ import numpy as np
 from microbot_ros.estimation.online.estimates import State
 
 COMPARED = 5.0
-"""A change of speed or direction is told by comparison with this many seconds ago."""
+"""Time [s] over which speed and direction are compared.
+
+Choice: long enough for small errors of both, short enough for a timely sentence.
+"""
 
 SURE = 40.0
-"""Squared distance, χ² of two axes, beyond which c is not what it was: 2e-9 by chance."""
+"""Squared distance, χ² of two axes, above which c has changed: 2e-9 by chance."""
 
 IMMOBILE = 0.3e-6
-"""A particle that swims slower than can be told from this [m/s] does not follow the field."""
+"""Speed [m/s] below which a swimmer does not follow the field.
+
+Choice: a tenth of usual swimmers; a smaller value needs longer to be known.
+"""
 
 AHEAD, ANOTHER_CLOCK = 5.0, 86400.0
-"""Seconds by which a command may be ahead of the frames, and by which it may be behind."""
+"""Time [s] by which a command may be later than the frames, and earlier (`ANOTHER_CLOCK`).
+
+Choice: clocks of one rig agree to seconds; a command may be in force for a day.
+"""
 
 
 @dataclass
 class TrackFaults:
-    """Finds, asked about once a second, which track or clock cannot be right."""
+    """Search, once a second, for tracks and clocks that cannot be right."""
 
     _past: list[State] = field(default_factory=list)
     _close: set[tuple[int, int]] = field(default_factory=set)
 
     def forget(self) -> None:
-        """Forget the past, as when something shared has been corrected."""
+        """Forget the past, as after a correction of something shared."""
         self._past.clear()
 
     def find(self, now: State, last_command: float, moving: bool) -> list[str]:
-        """Sentences on what is wrong with the filter's state `now`.
+        """Return sentences on tracks and clocks that cannot be right.
 
-        `last_command` [s]: the time of the newest one, −inf for none; `moving`: whether the
-        command drives particles.
+        Parameters
+        ----------
+        now : State
+            State of the filter.
+        last_command : float
+            Time of the newest command [s]; −inf for none.
+        moving : bool
+            Whether the command drives particles.
+
+        Returns
+        -------
+        list of str
+            Sentences.
         """
         told = _clock(now.t, last_command)
         told += self._changes(now)
@@ -65,7 +85,7 @@ class TrackFaults:
         ]
 
     def _duplicates(self, now: State) -> list[str]:
-        """Pairs nearer to each other than they are known, now and when last asked."""
+        """Return sentences on pairs that are closer than their errors, now and last time."""
         from scipy.spatial import cKDTree
 
         seen = now.seen & np.isfinite(now.p)

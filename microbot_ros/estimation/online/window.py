@@ -19,22 +19,38 @@ from microbot_ros.model.increments import as_vectors
 from microbot_ros.model.model import Model
 
 PROBES = 8
+"""Number of particles in the window. Choice: a review costs time in proportion."""
+
 FRAMES = 3000
+"""Largest number of frames in the window. Choice: 60 s at 50 frames per second."""
+
 SECONDS = 60.0
+"""Longest span of the window [s]. Choice: noise and delay hardly change in it."""
+
 LEAST = 40
-"""A review needs at least this many increments."""
+"""Fewest increments for a review. Choice: noise levels are then known to 20 %."""
 
 JUDGED_AFTER = 3.0
-"""Seconds of data before a review says what the command cannot tell apart."""
+"""Time [s] of data before a review reports what the command does not distinguish.
+
+Choice: a command of fewer seconds has hardly begun to turn.
+"""
 
 
 @dataclass(frozen=True)
 class Review:
-    """What a window of data says of the things that all particles share.
+    """Result of a review: what a window of data determines of what all particles share.
 
-    `noise` and `delay` as fitted; `log_phasor_slope` [1/s] is d log(v e^{iφ}) / d delay: by how
-    much speed (real part) and φ (imaginary) move with it; `confounded`: sentences on what the
-    command cannot tell apart.
+    Attributes
+    ----------
+    noise : Noise
+        Fitted noise.
+    delay : Delay
+        Fitted delay.
+    log_phasor_slope : complex
+        d log(v e^{iφ}) / d delay [1/s]: change of speed (real part) and φ (imaginary part).
+    confounded : tuple of str
+        Sentences on what the command does not distinguish.
     """
 
     noise: Noise
@@ -54,10 +70,22 @@ class Window:
         self._shift = np.zeros(PROBES, complex)
         self._present = np.empty(0, int)
         self._rows: list[tuple[int, int]] = []
-        """Each probe that is there, and its row among those present."""
+        """Each present probe, and its row among the present particles."""
 
     def add(self, t: float, ids: np.ndarray, z: np.ndarray, used: np.ndarray) -> None:
-        """Append a frame at `t` [s]: `ids` (N,), complex places `z` (N,), `used` (N,) bool."""
+        """Append a frame.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        ids : ndarray of int, shape (N,)
+            Particles.
+        z : ndarray of complex, shape (N,)
+            Positions [m].
+        used : ndarray of bool, shape (N,)
+            Which positions are used.
+        """
         if self._count == len(self._t):
             self._t[:FRAMES], self._z[:FRAMES] = self._t[FRAMES:], self._z[FRAMES:]
             self._count = FRAMES
@@ -72,7 +100,7 @@ class Window:
         self._count += 1
 
     def _adopt(self, ids: np.ndarray) -> None:
-        """Give probes of particles that are gone to particles that are there."""
+        """Give the probes of particles that left to particles that are present."""
         alive = np.isin(self.ids, ids)
         waiting = iter(np.setdiff1d(ids, self.ids) if not alive.all() else ())
         for probe in np.flatnonzero(~alive):
@@ -87,16 +115,40 @@ class Window:
                       if name in place]
 
     def jumped(self, name: int, by: complex) -> None:
-        """Particle `name` was moved by `by` [m], complex: take that out of what follows."""
+        """Subtract a displacement of a particle from its later positions.
+
+        Parameters
+        ----------
+        name : int
+            The particle.
+        by : complex
+            Distance by which it was moved [m].
+        """
         self._shift[self.ids == name] += by
 
     def changed(self, name: int, at: float) -> None:
-        """Particle `name` swims differently since `at` [s]: forget what it did before."""
+        """Forget the past of a particle whose motion changed.
+
+        Parameters
+        ----------
+        name : int
+            The particle.
+        at : float
+            Time of the change [s].
+        """
         before = self._t[:self._count] < at
         self._z[:self._count][np.ix_(before, self.ids == name)] = np.nan
 
     def recent(self) -> tuple[np.ndarray, np.ndarray]:
-        """Copies of the times (T,) and positions (T, PROBES) of the window."""
+        """Return copies of the times and positions of the window.
+
+        Returns
+        -------
+        times : ndarray, shape (T,)
+            Times [s].
+        z : ndarray of complex, shape (T, PROBES)
+            Positions [m]; NaN in gaps.
+        """
         first = max(self._count - FRAMES, 0)
         times = self._t[first:self._count]
         first += int(np.searchsorted(times, times[-1] - SECONDS)) if len(times) else 0
@@ -106,10 +158,24 @@ class Window:
     def review(
         self, model: Model, log: CommandLog, delay: Delay, noise: Noise,
     ) -> Iterator[Review | None]:
-        """Noise, delay and excitation under a `model`, a little at a time; the Review last.
+        """Fit noise, delay and excitation to the window, a little at a time.
 
-        With the commands of `log`; `delay` and `noise` are those in use. Yields None whenever a
-        caller with frames to serve may want to go on later; ends at once with too few frames.
+        Parameters
+        ----------
+        model : Model
+            Model of the filter.
+        log : CommandLog
+            Commands.
+        delay : Delay
+            Delay in use.
+        noise : Noise
+            Noise in use.
+
+        Yields
+        ------
+        Review or None
+            None where a caller with frames to serve may continue later; the review at last.
+            Nothing for too few frames.
         """
         times, z = self.recent()
         if np.isfinite(z).sum() - PROBES < LEAST:

@@ -1,7 +1,7 @@
-"""The library of effects: those here, and those of other packages (`microbot_ros.effects`).
+"""Library of effects: built-in ones, and those of other packages (`microbot_ros.effects`).
 
-A new one here is a file and a line in `BUILT_IN`; elsewhere it is a class that an entry point
-names (docs/how-to/effect.md).
+A new built-in effect is a file and a line in `BUILT_IN`. In other packages it is a class that an
+entry point names (docs/how-to/effect.md).
 """
 
 from __future__ import annotations
@@ -54,5 +54,8 @@ BUILT_IN: tuple[type[Effect], ...] = (
 )
 
 EFFECTS: Mapping[str, type[Effect]] = Library(BUILT_IN)
-"""Every effect that is installed, by its name. Those of other packages are read on first use:
-InputError, in one line, where one of them can't be used."""
+"""All installed effects by name.
+
+Those of other packages are read on first use, with an InputError of one line if one cannot be
+used.
+"""

@@ -1,4 +1,4 @@
-"""Effects as people write them, by name and in the units of their names: the part of any YAML."""
+"""Effects in YAML, by name and in the units of their names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,18 @@ from microbot_ros.model.parameter import Parameter
 
 
 def build_effects(table: Mapping[str, Mapping[str, Decimal | float | str]]) -> tuple[Effect, ...]:
-    """The effects of a validated table {effect: {parameter: value in the unit of its name}}."""
+    """Make the effects of a validated table.
+
+    Parameters
+    ----------
+    table : mapping
+        {effect: {parameter: value in the unit of its name}}.
+
+    Returns
+    -------
+    tuple of Effect
+        In the order of the table.
+    """
     return tuple(
         EFFECTS[name](**{
             p.field: exact_si(p.name, values[p.name])
@@ -29,13 +40,39 @@ def build_effects(table: Mapping[str, Mapping[str, Decimal | float | str]]) -> t
 
 
 def write_effects(effects: Iterable[Effect]) -> dict[str, dict[str, float]]:
-    """A table of `effects` as people write it, rounded as numbers are."""
+    """Return the table of effects, in rounded numbers.
+
+    Parameters
+    ----------
+    effects : iterable of Effect
+        The effects.
+
+    Returns
+    -------
+    dict
+        {effect: {parameter: value in the unit of its name}}.
+    """
     return {effect.id: {p.name: p.display_units(value) for p, value in effect.values().items()}
             for effect in effects}
 
 
 def read_effects(table: Any) -> tuple[Effect, ...]:
-    """The effects of a `table` as anybody wrote it; ValueError naming the key and what is wrong.
+    """Make the effects of a table that has not been validated.
+
+    Parameters
+    ----------
+    table : object
+        {effect: {parameter: value in the unit of its name}}.
+
+    Returns
+    -------
+    tuple of Effect
+        In the order of the table.
+
+    Raises
+    ------
+    ValueError
+        If the table is not valid; the message names the key and the error.
     """
     try:
         return build_effects(_check(table))
@@ -85,8 +122,8 @@ def _check(content: Any) -> dict[str, dict[str, float]]:
 
 
 EffectTable = Annotated[dict[str, dict[str, float]], pydantic.PlainValidator(_check)]
-"""The type of a settings field that holds effects: {effect: {parameter: value}}.
+"""Type of a settings field that holds effects: {effect: {parameter: value}}.
 
-Unknown names, missing parameters and values out of range are errors that name the key and what
-is known; `build_effects` makes the effects.
+Unknown names, missing parameters and values out of range are errors that name the key and what is
+known. `build_effects` makes the effects.
 """

@@ -1,4 +1,4 @@
-"""A learned term as people write it, in the units of the names: the part of `model.yaml`."""
+"""Learned terms in YAML, in the units of their names."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ from microbot_ros.model.learned_term import (
 )
 
 _Row = Annotated[tuple[float, ...], pydantic.Field(min_length=2)]
+"""A row of at least two numbers."""
 
 
 class LearnedEntry(Settings):
-    """One entry of `learned`: knots `at` each, and what was learned there, with its 95 % band."""
+    """One entry of `learned`: knots `at`, values there, and their 95 % band."""
 
     against: Against
     frame: Frame
@@ -74,7 +75,18 @@ def _named(table: Mapping[str, object], names: tuple[str, ...], what: str) -> No
 
 
 def read_term(entry: Mapping[str, Any]) -> LearnedTerm:
-    """The term of a validated `entry`, whose numbers may be decimals."""
+    """Make the term of a validated entry.
+
+    Parameters
+    ----------
+    entry : mapping
+        The entry; numbers may be decimals.
+
+    Returns
+    -------
+    LearnedTerm
+        The term, SI.
+    """
     names = VALUES[entry['frame'], entry['acts_on']]
 
     def table(what: str) -> np.ndarray:
@@ -93,7 +105,18 @@ def _si(name: str, row: Any) -> np.ndarray:
 
 
 def write_term(term: LearnedTerm) -> dict[str, Any]:
-    """The entry of a `term`, which `read_term` reads back equal."""
+    """Return the entry of a term.
+
+    Parameters
+    ----------
+    term : LearnedTerm
+        The term.
+
+    Returns
+    -------
+    dict
+        An entry that `read_term` reads back equal.
+    """
     names = VALUES[term.frame, term.acts_on]
 
     def table(values: np.ndarray) -> dict[str, list[Any]]:

@@ -1,4 +1,4 @@
-"""`model.yaml`: the model and its particles, as discovery leaves it and controllers load it."""
+"""`model.yaml`: model and particles, as discovery writes them and controllers load them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from microbot_ros.model.io.effect_table import EffectTable, build_effects
 from microbot_ros.model.io.learned_table import LearnedEntry, read_term, write_term
 from microbot_ros.model.model import Model, ParticleParameters, Propulsion
 
-# What a particle's `speed` is called in files.
+# Name of a particle's `speed` in files.
 _SPEED = {'catalytic': 'v_um_s', 'rolling': 'gain_um_s_hz'}
 
 
@@ -48,10 +48,23 @@ class _ModelFile(Settings):
 
 
 def read_model(path: str | Path) -> tuple[Model, ParticleParameters]:
-    """The model and the particles of a `model.yaml`, to the last bit as they were written.
+    """Read a `model.yaml`, exact to the last bit.
 
-    Raises InputError naming file, line, key and what was expected; an unknown effect or parameter
-    with those that are known.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    (Model, ParticleParameters)
+        Model and particles, SI.
+
+    Raises
+    ------
+    InputError
+        If the file is not valid: file, line, key and expectation. For an unknown effect or
+        parameter the message lists the known ones.
     """
     settings = read_yaml(path, _ModelFile)
     exact: dict[str, Any] = load_yaml(path, _ExactLoader)[1]
@@ -70,7 +83,19 @@ def read_model(path: str | Path) -> tuple[Model, ParticleParameters]:
 def write_model(path: str | Path, model: Model, particles: ParticleParameters) -> None:
     """Write a `model.yaml` that `read_model` reads back equal.
 
-    ValueError, and nothing written, for what it would refuse: values not finite or out of range.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    model : Model
+        The model.
+    particles : ParticleParameters
+        The particles.
+
+    Raises
+    ------
+    ValueError
+        For values that are not finite or out of range; no file is written then.
     """
     name = _SPEED[model.propulsion]
     content = {
@@ -93,11 +118,11 @@ def write_model(path: str | Path, model: Model, particles: ParticleParameters) -
 
 
 class _ExactLoader(StrictLoader):
-    """Reads numbers as decimals: a float would already have lost what lies beyond its digits."""
+    """YAML loader that reads numbers as decimals: floats would lose digits."""
 
 
 class _ExactDumper(yaml.SafeDumper):
-    """Writes decimals as YAML's numbers."""
+    """YAML dumper that writes decimals as numbers."""
 
 
 def _read_number(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> Decimal:

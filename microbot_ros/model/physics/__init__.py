@@ -1,1 +1,1 @@
-"""Spheres in a fluid: drag, diffusion, inertia, the floor, alignment."""
+"""Physics of spheres in a fluid: drag, diffusion, inertia, floor and alignment."""

@@ -1,4 +1,4 @@
-"""The exact solution of dχ/dt = κ sin(ψ − χ), and of χ = ψ, compiled."""
+"""Exact solution of dχ/dt = κ sin(ψ − χ), and of χ = ψ, compiled."""
 
 from __future__ import annotations
 
@@ -11,37 +11,67 @@ from numba import types
 from microbot_ros.common.compiled import numba
 
 UNSTABLE = 0.01
-"""A heading this close [rad] to opposing the field is moved this far from it.
+"""Angle [rad] from exact opposition to the field within which a heading is moved away from it.
 
-Exactly opposed, the equation stays there for ever, which no particle that is kicked by water
-does; within this angle noise decides, not the equation.
+The equation stays in exact opposition for ever, which no Brownian particle does. Choice: within
+this angle noise decides, not the equation.
 """
 
 
 def given(dtype: types.Type, dimensions: int, layout: Literal['A', 'C'] = 'A') -> types.Array:
-    """Arrays of so many `dimensions` and a `dtype` that a compiled function reads.
+    """Return the numba type of arrays that a compiled function only reads.
 
-    Their `layout` is any, 'A', or contiguous, 'C'. One that may be written to would otherwise be
-    compiled anew.
+    Arrays that may be written to would otherwise be compiled anew.
+
+    Parameters
+    ----------
+    dtype : numba type
+        Type of the elements.
+    dimensions : int
+        Number of dimensions.
+    layout : 'A' or 'C', optional
+        Any layout, or contiguous.
+
+    Returns
+    -------
+    numba.types.Array
+        The type.
     """
     return types.Array(dtype, dimensions, layout, readonly=True)
 
 
 @numba.njit(cache=True, error_model='numpy')
 def integrate_direction(rows, delay, times, heading, rolling):  # type: ignore[no-untyped-def]
-    """∫u dt [s] over T−1 frame intervals, ∫f u dt if `rolling`, and e^{iχ} at `times` (T,) [s].
+    """Integrate the direction of the field, for headings that follow it immediately.
 
-    For headings that follow the field at once, where no effect acts: u is its direction, or the
-    last before where there is none. `rows` (K, 4) are the commands: time [s], field [T] and
-    frequency [Hz], `delay` [s] late. `heading` is e^{iχ} at the first time, 0 where the commands
-    before decide.
+    Without effects. The direction u is that of the field, or the last one where there is no field.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (K, 4)
+        Commands: time [s], field [T] and frequency [Hz].
+    delay : float
+        Delay of the commands [s].
+    times : ndarray, shape (T,)
+        Times of the frames [s].
+    heading : complex
+        e^{iχ} at the first time; 0 if the earlier commands determine it.
+    rolling : bool
+        Whether to weight by frequency.
+
+    Returns
+    -------
+    path : ndarray of complex, shape (T − 1,)
+        ∫u dt [s] over the frame intervals, or ∫f u dt.
+    course : ndarray of complex, shape (T,)
+        e^{iχ} at the frames.
     """
     count, u, acting = len(rows), heading, -1
     path, course = np.zeros(len(times) - 1, np.complex128), np.zeros(len(times), np.complex128)
     k = np.searchsorted(rows[:, 0], times[0] - delay, side='right') - 1
     last = k
     while last >= 0 and u == 0:
-        # A command that another replaced at once never acted.
+        # A command that was replaced at the same time never acted.
         if last == k or rows[last + 1, 0] > rows[last, 0]:
             u = _along(rows[last], u)
         last -= 1
@@ -66,14 +96,14 @@ def integrate_direction(rows, delay, times, heading, rolling):  # type: ignore[n
 
 @numba.njit(cache=True)
 def _along(row, before):  # type: ignore[no-untyped-def]
-    """The direction of a command's field; without one, that of before."""
+    """Return the direction of a command's field; without a field, the direction before."""
     size = math.hypot(row[1], row[2])
     return complex(row[1] / size, row[2] / size) if size > 0 else before
 
 
 @numba.njit(cache=True)
 def _span(relative, rate, h):  # type: ignore[no-untyped-def]
-    """∫cos δ, ∫sin δ, their derivatives to δ₀, cos δ₁, sin δ₁ and ∂δ₁/∂δ₀ over one span."""
+    """Return ∫cos δ, ∫sin δ, their derivatives by δ₀, cos δ₁, sin δ₁ and ∂δ₁/∂δ₀ of a span."""
     cos0, sin0 = relative.real, relative.imag
     if cos0 < -math.cos(UNSTABLE):
         cos0, sin0 = -math.cos(UNSTABLE), math.copysign(math.sin(UNSTABLE), sin0)
@@ -97,14 +127,31 @@ def _span(relative, rate, h):  # type: ignore[no-untyped-def]
 def integrate_alignment(start, target, rate, span):  # type: ignore[no-untyped-def]
     """Solve dχ/dt = κ sin(ψ − χ) through S spans of constant ψ and κ, n headings at once.
 
-    `start` (n,) complex, zero where the heading is not defined yet: it is then that of the first
-    target which is not zero. `target` (S, n) e^{iψ}, zero where there is no field; `rate` κ (S, n)
-    [1/s]; `span` h (S,) [s].
-
     With δ = χ − ψ the solution is tan(δ(s)/2) = tan(δ₀/2) e^{−κs}, hence ∫cos δ = h + ln(cos²½δ₀ +
-    q² sin²½δ₀)/κ and ∫sin δ = (δ₀ − δ₁)/κ with q = e^{−κh}. Returns, each (S, n) but the first:
-    e^{iχ} at every edge (S + 1, n); ∫e^{iχ} ds; its derivative with respect to χ at the start of
-    the span; and the derivative of χ at its end with respect to that at its start.
+    q² sin²½δ₀)/κ and ∫sin δ = (δ₀ − δ₁)/κ with q = e^{−κh}.
+
+    Parameters
+    ----------
+    start : ndarray of complex, shape (n,)
+        e^{iχ} at the start; 0 where the heading is not defined yet. It is then that of the first
+        target that is not zero.
+    target : ndarray of complex, shape (S, n)
+        e^{iψ}; 0 without a field.
+    rate : ndarray, shape (S, n)
+        κ [1/s].
+    span : ndarray, shape (S,)
+        h [s].
+
+    Returns
+    -------
+    heading : ndarray of complex, shape (S + 1, n)
+        e^{iχ} at the edges.
+    path : ndarray of complex, shape (S, n)
+        ∫e^{iχ} ds [s].
+    sensitivity : ndarray of complex, shape (S, n)
+        Derivative of the path by χ at the start of the span [s].
+    retention : ndarray, shape (S, n)
+        Derivative of χ at the end of the span by χ at its start.
     """
     S, n = target.shape
     heading = np.zeros((S + 1, n), np.complex128)
@@ -135,12 +182,23 @@ def integrate_alignment(start, target, rate, span):  # type: ignore[no-untyped-d
 @numba.njit([(given(types.int64, 1), given(types.complex128, 2), given(types.float64, 2))],
             cache=True)
 def chain_intervals(first, sensitivity, retention):  # type: ignore[no-untyped-def]
-    """Derivatives over whole frame intervals from those over their spans.
+    """Return derivatives over whole frame intervals from those over their spans.
 
-    `first` (F,): the span with which each interval begins; `sensitivity` (S, n) complex [s] and
-    `retention` (S, n) as `integrate_alignment` returns them. Returns the derivative of each
-    interval's path [s] and of the heading at its end, both with respect to the heading at its
-    start: (F, n) complex and (F, n).
+    Parameters
+    ----------
+    first : ndarray of int, shape (F,)
+        First span of each interval.
+    sensitivity : ndarray of complex, shape (S, n)
+        As returned by `integrate_alignment` [s].
+    retention : ndarray, shape (S, n)
+        As returned by `integrate_alignment`.
+
+    Returns
+    -------
+    sensitivities : ndarray of complex, shape (F, n)
+        Derivative of each interval's path by the heading at its start [s].
+    retentions : ndarray, shape (F, n)
+        Derivative of the heading at its end by that at its start.
     """
     S, n = retention.shape
     F = len(first)

@@ -1,14 +1,14 @@
-"""By what factor the drag of a sphere grows near a plane floor.
+"""Factors by which the drag of a sphere increases near a plane floor.
 
-All take the height h of the centre above the floor and the radius a, in metres or any other
-unit, a number or arrays that broadcast, and give the drag over that in bulk fluid: 1 far away.
-ValueError unless the height is finite and more than the radius.
+All take the height h of the centre above the floor and the radius a, in any common unit, as
+numbers or arrays that broadcast. They return the drag over that in bulk fluid, which is 1 far
+away. ValueError unless the height is finite and larger than the radius.
 
-Two of them diverge at contact as a logarithm of the gap, which lubrication gives (Goldman, Cox &
-Brenner, Chemical Engineering Science 22, 637 (1967); constants and next terms after Chaoui &
-Feuillebois, Quarterly Journal of Mechanics and Applied Mathematics 56, 381 (2003)). To that a
-polynomial in s = a/h is added that makes the whole agree with Faxén's series far away, to order
-s³, and with lubrication at contact. What is left in between is stated with each.
+Two of them diverge at contact as a logarithm of the gap, by lubrication (Goldman, Cox & Brenner,
+Chemical Engineering Science 22, 637 (1967); constants and next terms after Chaoui & Feuillebois,
+Quarterly Journal of Mechanics and Applied Mathematics 56, 381 (2003)). A polynomial in s = a/h is
+added so that the sum agrees with Faxén's series far away, to order s³, and with lubrication at
+contact. The remaining error in between is stated for each.
 """
 
 from __future__ import annotations
@@ -17,36 +17,78 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 _CLOSEST = 10e-9
+"""Smallest gap [m] that charged surfaces keep in water (Israelachvili, "Intermolecular and surface
+forces", chapter 14)."""
+
 _TERMS = np.arange(1.0, 101.0)
+"""Terms of Jeffery's series. Choice: with the bound of the rest, accurate to 1e-4."""
+
 _REST = 1.2020569031595942 - float((_TERMS**-3).sum())  # of ζ(3)
+"""Sum of n⁻³ beyond these terms, from ζ(3)."""
 
 
 def sliding_factor(height: ArrayLike, radius: ArrayLike) -> np.ndarray:
-    """Of moving along the floor without turning, at a `height` [m] with a `radius` [m].
+    """Return the factor for motion along the floor without rotation.
 
-    1 + 9a/16h + … (Faxén); 8/15 ln(a/gap) + 0.9543 at contact. Off by less than 0.1 % from the
-    exact solution (O'Neill, Mathematika 11, 67 (1964)) from contact to far away. A sphere that is
-    free to roll meanwhile feels less, by 0.3 % at a gap of a/10 and by 2 % at a/300.
+    1 + 9a/16h + … (Faxén); 8/15 ln(a/gap) + 0.9543 at contact. It is within 0.1 % of the exact
+    solution (O'Neill, Mathematika 11, 67 (1964)) at all heights. A sphere that is free to roll has
+    less drag, by 0.3 % at a gap of a/10 and by 2 % at a/300.
+
+    Parameters
+    ----------
+    height : array_like
+        Height h of the centre [m].
+    radius : array_like
+        Radius a [m].
+
+    Returns
+    -------
+    ndarray
+        Factor, at least 1.
     """
     return _joined(_nearness(height, radius), (8 / 15, 64 / 375), 0.9543,
                    (1.0, 9 / 16, 81 / 256, 217 / 4096))
 
 
 def rolling_factor(height: ArrayLike, radius: ArrayLike) -> np.ndarray:
-    """Of turning about an axis along the floor, at a `height` [m] with a `radius` [m].
+    """Return the factor for rotation about an axis along the floor.
 
-    1 + 5a³/16h³ + …; 2/5 ln(a/gap) + 0.3709 at contact. Off by less than 0.6 % from the exact
-    solution (Dean & O'Neill, Mathematika 10, 13 (1963)).
+    1 + 5a³/16h³ + …; 2/5 ln(a/gap) + 0.3709 at contact. It is within 0.6 % of the exact solution
+    (Dean & O'Neill, Mathematika 10, 13 (1963)).
+
+    Parameters
+    ----------
+    height : array_like
+        Height h of the centre [m].
+    radius : array_like
+        Radius a [m].
+
+    Returns
+    -------
+    ndarray
+        Factor, at least 1.
     """
     return _joined(_nearness(height, radius), (2 / 5, 66 / 125), 0.3709, (1.0, 0.0, 0.0, 5 / 16))
 
 
 def spinning_factor(height: ArrayLike, radius: ArrayLike) -> np.ndarray:
-    """Of turning about the axis across the floor, as a heading in the plane does.
+    """Return the factor for rotation about the normal of the floor, as of a heading in the plane.
 
-    At a `height` [m] with a `radius` [m]. The exact sinh³α Σ 1/sinh³(nα), cosh α = h/a (Jeffery,
-    Proceedings of the London Mathematical Society 14, 327 (1915)), its first 100 terms and a
-    bound for the rest: to 1e-4. 1 + a³/8h³ + …; 1.202 at contact.
+    The exact sinh³α Σ 1/sinh³(nα), cosh α = h/a (Jeffery, Proceedings of the London Mathematical
+    Society 14, 327 (1915)), by its first 100 terms and a bound for the rest: accurate to 1e-4. 1 +
+    a³/8h³ + …; 1.202 at contact.
+
+    Parameters
+    ----------
+    height : array_like
+        Height h of the centre [m].
+    radius : array_like
+        Radius a [m].
+
+    Returns
+    -------
+    ndarray
+        Factor, from 1 to 1.202.
     """
     alpha = np.arccosh(1 / _nearness(height, radius))[..., None]
     # e^{(1−n)α} (1 − e^{−2α}) / (1 − e^{−2nα}) overflows nowhere.
@@ -57,11 +99,20 @@ def spinning_factor(height: ArrayLike, radius: ArrayLike) -> np.ndarray:
 
 
 def height_of_drag(factor: float, radius: float) -> float | None:
-    """The height [m] at which the drag of sliding is `factor` times that in bulk.
+    """Return the height at which the drag of sliding is a given multiple of that in bulk.
 
-    For a `radius` [m]. None where no height does it with a gap of 10 nm at least, which charged
-    surfaces keep in water (Israelachvili, "Intermolecular and surface forces", chapter 14), or
-    where a factor is not above 1.
+    Parameters
+    ----------
+    factor : float
+        The multiple.
+    radius : float
+        Radius [m].
+
+    Returns
+    -------
+    float or None
+        Height [m]. None if the factor is not above 1, or needs a gap below 10 nm, which charged
+        surfaces keep in water (Israelachvili, "Intermolecular and surface forces", chapter 14).
     """
     closest = radius / (radius + _CLOSEST)
     if not 1 < factor <= sliding_factor(1.0, closest):
@@ -71,7 +122,7 @@ def height_of_drag(factor: float, radius: float) -> float | None:
 
 
 def _nearness(height: ArrayLike, radius: ArrayLike) -> np.ndarray:
-    """a/h, above 0 and below 1."""
+    """Return a/h, above 0 and below 1."""
     height, radius = np.asarray(height, float), np.asarray(radius, float)
     if not np.all((radius > 0) & (radius < height) & (height < np.inf)):
         raise ValueError(f'height must be more than the radius {radius} '
@@ -81,8 +132,10 @@ def _nearness(height: ArrayLike, radius: ArrayLike) -> np.ndarray:
 
 def _joined(s: np.ndarray, lubrication: tuple[float, float], contact: float,
             series: tuple[float, ...]) -> np.ndarray:
-    """−(p + q(1 − s)) ln(1 − s), `lubrication` p and q, and a polynomial in s, such that the
-    whole has the `series` far away and, beside the logarithm, the value `contact` at s = 1."""
+    """Return −(p + q(1 − s)) ln(1 − s) plus a polynomial in s, `lubrication` = (p, q).
+
+    The sum has the `series` far away and, beside the logarithm, the value `contact` at s = 1.
+    """
     p, q = lubrication
     expanded = [0.0, p + q, *(p / k + q / k - q / (k - 1) for k in range(2, len(series)))]
     coefficients = np.subtract(series, expanded)

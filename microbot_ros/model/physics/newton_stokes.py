@@ -1,8 +1,8 @@
-"""Newton's equations with Stokes' drag: the inertia that the first-order model leaves out.
+"""Newton's equations with Stokes drag: the inertia that the first-order model neglects.
 
-Without noise, as the paper integrates them. The equations are stiff, time constants of
-microseconds against legs of seconds, so they are given to SciPy's stiff solver leg by leg;
-where the heading follows at once they also have a closed solution, to check it by.
+Without noise, as the paper integrates them. The equations are stiff, with time constants of
+microseconds and legs of seconds, so SciPy's stiff solver integrates them leg by leg. If the
+heading follows immediately they also have a closed solution, which tests compare with.
 """
 
 from __future__ import annotations
@@ -17,20 +17,48 @@ from microbot_ros.model.physics.particle import Fluid, Particle, rotational_drag
 from microbot_ros.model.physics.vectors import unit
 
 _Rates = Callable[[float, np.ndarray], np.ndarray]
+"""Derivative of the state as a function of time and state."""
 
 _RELATIVE = 1e-6
+"""Relative tolerance of the solver. Choice: far below the inertia that is studied."""
+
 # Absolute tolerances: a hundredth of a nanometre, of a nanometre per second, of a milliradian.
 _POSITION, _VELOCITY, _ANGLE = 1e-11, 1e-11, 1e-5
+"""Absolute tolerances of position [m], `_VELOCITY` [m/s] and `_ANGLE` [rad].
+
+Choice: a hundredth of a nanometre, of a nanometre per second, of a milliradian.
+"""
 
 
 def newton_stokes(
     fluid: Fluid, particles: Sequence[Particle], commands: Commands, times: np.ndarray,
     start: np.ndarray, heading: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Translation and rotation: positions (T, N, 2) [m] and headings (T, N) [rad].
+    """Integrate translation and rotation.
 
-    m dv/dt = F ê(θ) − 6πηr v and I dω/dt = d|B| sin(θ_B + φ − θ) − 8πηr³ω, from rest at `start`
-    (N, 2) and `heading` (N,) at the first of `times` (T,) [s], which ascend.
+    m dv/dt = F ê(θ) − 6πηr v and I dω/dt = d|B| sin(θ_B + φ − θ) − 8πηr³ω, from rest.
+
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    particles : sequence of Particle
+        N particles.
+    commands : Commands
+        Fields.
+    times : ndarray, shape (T,)
+        Times [s], ascending.
+    start : ndarray, shape (N, 2)
+        Positions at the first time [m].
+    heading : ndarray, shape (N,)
+        Headings at the first time [rad].
+
+    Returns
+    -------
+    positions : ndarray, shape (T, N, 2)
+        Positions [m].
+    headings : ndarray, shape (T, N)
+        Headings [rad].
     """
     mass, moment, inertia = (
         np.array([getattr(p, name) for p in particles])
@@ -64,10 +92,28 @@ def stokes_translation(
     fluid: Fluid, particles: Sequence[Particle], commands: Commands, times: np.ndarray,
     start: np.ndarray,
 ) -> np.ndarray:
-    """Translation alone, as the paper reduces it: positions (T, N, 2) [m].
+    """Integrate translation only, as the paper reduces it.
 
-    m dv/dt = F R(φ)u − 6πηr v, the heading following the field at once; `times` and `start` as in
-    `newton_stokes`. Without a field there is no propulsion.
+    m dv/dt = F R(φ)u − 6πηr v, with a heading that follows the field immediately. Without a field
+    there is no propulsion.
+
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    particles : sequence of Particle
+        N particles.
+    commands : Commands
+        Fields.
+    times : ndarray, shape (T,)
+        Times [s], ascending.
+    start : ndarray, shape (N, 2)
+        Positions at the first time [m].
+
+    Returns
+    -------
+    ndarray, shape (T, N, 2)
+        Positions [m].
     """
     mass = np.array([p.mass for p in particles])[:, None]
     slowing = np.repeat(stokes_drag(fluid, _radius(particles))[:, None] / mass, 2)
@@ -88,7 +134,7 @@ def _solve(
     rates: Callable[[np.ndarray], _Rates], commands: Commands, times: np.ndarray,
     state: np.ndarray, tolerance: np.ndarray,
 ) -> np.ndarray:
-    """States (T, S) by SciPy's stiff solver, restarted wherever the command changes."""
+    """Return states (T, S) by SciPy's stiff solver, restarted at every change of the command."""
     from scipy.integrate import solve_ivp
 
     states = np.empty((len(times), len(state)))
@@ -107,7 +153,7 @@ def _radius(particles: Sequence[Particle]) -> np.ndarray:
 
 
 def _force(particles: Sequence[Particle], field: np.ndarray) -> np.ndarray:
-    """Propulsion (N, 2) [N] of particles that point at once where the field sends them."""
+    """Return the propulsion (N, 2) [N] of particles that are aligned with the field."""
     if not field.any():
         return np.zeros((len(particles), 2))
     direction = np.arctan2(field[1], field[0]) + np.array([p.phi for p in particles])
@@ -117,7 +163,7 @@ def _force(particles: Sequence[Particle], field: np.ndarray) -> np.ndarray:
 def _legs(
     commands: Commands, times: np.ndarray,
 ) -> Iterator[tuple[float, float, np.ndarray, slice]]:
-    """Begin, end [s], field (2,) [T] and rows of `times` in (begin, end] of each constant leg."""
+    """Yield begin, end [s], field (2,) [T] and rows of `times` in (begin, end] of each leg."""
     inside = commands.t[(commands.t > times[0]) & (commands.t < times[-1])]
     edges = np.concatenate(([times[0]], np.unique(inside), [times[-1]]))
     for begin, end in pairwise(edges):

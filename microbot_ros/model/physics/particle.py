@@ -1,9 +1,9 @@
-"""A sphere in a fluid at low Reynolds number: drag, diffusion and the times that follow.
+"""A sphere in a fluid at low Reynolds number: drag, diffusion and time constants.
 
-Stokes' drag on a translating and a rotating sphere far from neighbours, and from walls but for
+Stokes drag on a translating and a rotating sphere far from neighbours, and from walls except for
 the floor that a `Fluid` may have; diffusion by the Einstein relation (Happel & Brenner, "Low
-Reynolds number hydrodynamics", 1983). Every function takes one radius or an array of them and
-returns the same shape. ValueError where a sphere does not fit above the floor.
+Reynolds number hydrodynamics", 1983). Every function takes one radius or an array and returns the
+same shape. ValueError if a sphere does not fit above the floor.
 """
 
 from __future__ import annotations
@@ -19,14 +19,26 @@ from microbot_ros.common.units import BOLTZMANN
 from microbot_ros.model.physics.floor import rolling_factor, sliding_factor, spinning_factor
 
 Values = TypeVar('Values', float, np.ndarray)
+"""A number or an array."""
 
 
 @dataclass(frozen=True)
 class Fluid:
-    """What the particle swims in, and where: viscosity [Pa·s], temperature [K].
+    """The fluid, and the height of particles in it.
 
-    `height` [m] of its centre above a floor; None is far from any. ValueError unless all are
-    positive and finite.
+    Attributes
+    ----------
+    viscosity : float
+        Viscosity [Pa·s].
+    temperature : float
+        Temperature [K].
+    height : float or None
+        Height of a particle's centre above a floor [m]; None far from any.
+
+    Raises
+    ------
+    ValueError
+        Unless all are positive and finite.
     """
 
     viscosity: float
@@ -42,10 +54,25 @@ class Fluid:
 
 @dataclass(frozen=True)
 class Particle:
-    """One sphere: radius [m], mass [kg], propulsive force [N], offset φ [rad], moment [A·m²].
+    """One sphere.
 
-    `phi` is the angle from the field to the direction of travel. ValueError unless radius and mass
-    are positive and finite and the rest is finite.
+    Attributes
+    ----------
+    radius : float
+        Radius [m].
+    mass : float
+        Mass [kg].
+    force : float
+        Propulsive force [N].
+    phi : float
+        Angle from the field to the direction of travel [rad].
+    moment : float
+        Magnetic moment [A·m²].
+
+    Raises
+    ------
+    ValueError
+        Unless radius and mass are positive and all numbers finite.
     """
 
     radius: float
@@ -63,7 +90,7 @@ class Particle:
 
     @property
     def moment_of_inertia(self) -> float:
-        """Of a uniform solid sphere, ⅖ m r² [kg·m²]."""
+        """Moment of inertia of a uniform solid sphere, ⅖ m r² [kg·m²]."""
         return 0.4 * self.mass * self.radius**2
 
 
@@ -73,24 +100,57 @@ def _require_positive(name: str, value: float) -> None:
 
 
 def stokes_drag(fluid: Fluid, radius: Values) -> Values:
-    """Translational drag coefficient 6πηr [N·s/m] of a sphere of `radius` r [m].
+    """Return the translational drag coefficient 6πηr; above a floor, for motion along it.
 
-    Above a floor, of moving along it.
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    radius : float or ndarray
+        r [m].
+
+    Returns
+    -------
+    float or ndarray
+        Drag coefficient [N·s/m].
     """
     return _near_floor(6 * math.pi * fluid.viscosity * radius, sliding_factor, fluid, radius)
 
 
 def rotational_drag(fluid: Fluid, radius: Values) -> Values:
-    """Rotational drag coefficient 8πηr³ [N·m·s] of a sphere of `radius` r [m].
+    """Return the rotational drag coefficient 8πηr³.
 
-    Above a floor, of turning about the axis across it, as a heading in the plane does.
+    Above a floor, for rotation about its normal, as of a heading in the plane.
+
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    radius : float or ndarray
+        r [m].
+
+    Returns
+    -------
+    float or ndarray
+        Drag coefficient [N·m·s].
     """
     return _near_floor(8 * math.pi * fluid.viscosity * radius**3, spinning_factor, fluid, radius)
 
 
 def rolling_drag(fluid: Fluid, radius: Values) -> Values:
-    """Rotational drag coefficient [N·m·s] of a sphere of `radius` r [m] about an axis along the
-    floor; 8πηr³ without one.
+    """Return the rotational drag coefficient about an axis along the floor; 8πηr³ without one.
+
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    radius : float or ndarray
+        r [m].
+
+    Returns
+    -------
+    float or ndarray
+        Drag coefficient [N·m·s].
     """
     return _near_floor(8 * math.pi * fluid.viscosity * radius**3, rolling_factor, fluid, radius)
 
@@ -103,37 +163,105 @@ def _near_floor(bulk: Values, factor: Callable[..., Any], fluid: Fluid, radius: 
 
 
 def translational_diffusion(fluid: Fluid, radius: Values) -> Values:
-    """Stokes–Einstein kT/(6πηr) [m²/s], `radius` r [m]: each coordinate spreads as √(2Dt)."""
+    """Return the diffusion coefficient kT/(6πηr) (Stokes–Einstein).
+
+    Each coordinate spreads as √(2Dt).
+
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    radius : float or ndarray
+        r [m].
+
+    Returns
+    -------
+    float or ndarray
+        D [m²/s].
+    """
     return BOLTZMANN * fluid.temperature / stokes_drag(fluid, radius)
 
 
 def rotational_diffusion(fluid: Fluid, radius: Values) -> Values:
-    """Stokes–Einstein–Debye kT/(8πηr³) [rad²/s], `radius` r [m]: the heading spreads as √(2 D_r
-    t).
+    """Return the rotational diffusion coefficient kT/(8πηr³) (Stokes–Einstein–Debye).
+
+    The heading spreads as √(2 D_r t).
+
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    radius : float or ndarray
+        r [m].
+
+    Returns
+    -------
+    float or ndarray
+        D_r [rad²/s].
     """
     return BOLTZMANN * fluid.temperature / rotational_drag(fluid, radius)
 
 
 def translational_time(fluid: Fluid, radius: Values, mass: Values) -> Values:
-    """Time constant m/(6πηr) [s] with which the velocity of a `mass` [kg], `radius` [m] follows.
+    """Return the time constant m/(6πηr) of the velocity.
+
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    radius : float or ndarray
+        r [m].
+    mass : float or ndarray
+        m [kg].
+
+    Returns
+    -------
+    float or ndarray
+        Time constant [s].
     """
     return mass / stokes_drag(fluid, radius)
 
 
 def rotational_time(fluid: Fluid, radius: Values, mass: Values) -> Values:
-    """Time constant I/(8πηr³) = m/(20πηr) [s] with which ω follows the torque.
+    """Return the time constant I/(8πηr³) = m/(20πηr) of the angular velocity of a uniform sphere.
 
-    Of a uniform sphere of `radius` r [m] and `mass` m [kg]. Not the time in which the heading
-    aligns with a field: that is `alignment_time`.
+    It is not the time in which the heading aligns with a field: that is `alignment_time`.
+
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    radius : float or ndarray
+        r [m].
+    mass : float or ndarray
+        m [kg].
+
+    Returns
+    -------
+    float or ndarray
+        Time constant [s].
     """
     return 0.4 * mass * radius**2 / rotational_drag(fluid, radius)
 
 
 def alignment_time(fluid: Fluid, radius: Values, moment: Values, field: Values) -> Values:
-    """Time constant 8πηr³/(dB) [s] with which the heading turns into a field.
+    """Return the time constant 8πηr³/(dB) with which the heading aligns with a field.
 
-    `radius` r [m]; `moment` d [A·m²] and `field` B [T] are magnitudes. Where either is zero
-    nothing turns the particle, and the time is infinite.
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    radius : float or ndarray
+        r [m].
+    moment : float or ndarray
+        Magnitude of the moment d [A·m²].
+    field : float or ndarray
+        Magnitude of the field B [T].
+
+    Returns
+    -------
+    float or ndarray
+        Time constant [s]; infinite if moment or field is zero.
     """
     with np.errstate(divide='ignore'):
         time: Values = np.divide(rotational_drag(fluid, radius), np.multiply(moment, field))
@@ -141,16 +269,58 @@ def alignment_time(fluid: Fluid, radius: Values, moment: Values, field: Values) 
 
 
 def speed_from_force(fluid: Fluid, radius: Values, force: Values) -> Values:
-    """Terminal speed F/(6πηr) [m/s] of a sphere of `radius` r [m] under a `force` F [N]."""
+    """Return the terminal speed F/(6πηr).
+
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    radius : float or ndarray
+        r [m].
+    force : float or ndarray
+        F [N].
+
+    Returns
+    -------
+    float or ndarray
+        Speed [m/s].
+    """
     return force / stokes_drag(fluid, radius)
 
 
 def force_from_speed(fluid: Fluid, radius: Values, speed: Values) -> Values:
-    """The force 6πηr·v [N], `radius` r [m], that Stokes' drag balances at a steady speed v [m/s].
+    """Return the force 6πηr·v that Stokes drag balances at a steady speed.
+
+    Parameters
+    ----------
+    fluid : Fluid
+        The fluid.
+    radius : float or ndarray
+        r [m].
+    speed : float or ndarray
+        v [m/s].
+
+    Returns
+    -------
+    float or ndarray
+        Force [N].
     """
     return speed * stokes_drag(fluid, radius)
 
 
 def sphere_mass(radius: Values, density: float) -> Values:
-    """Mass [kg] of a sphere of the given `radius` [m] and density [kg/m³]."""
+    """Return the mass of a sphere.
+
+    Parameters
+    ----------
+    radius : float or ndarray
+        Radius [m].
+    density : float
+        Density [kg/m³].
+
+    Returns
+    -------
+    float or ndarray
+        Mass [kg].
+    """
     return 4 / 3 * math.pi * radius**3 * density

@@ -1,4 +1,4 @@
-"""Vectors in the plane: as pairs along the last axis (..., 2) and as complex numbers x + iy."""
+"""Vectors in the plane, as pairs along the last axis and as complex numbers x + iy."""
 
 from __future__ import annotations
 
@@ -6,15 +6,48 @@ import numpy as np
 
 
 def unit(angle: np.ndarray | float) -> np.ndarray:
-    """Unit vectors (..., 2) at an `angle` (...) [rad]."""
+    """Return unit vectors.
+
+    Parameters
+    ----------
+    angle : ndarray or float
+        Angles [rad], of any shape (...).
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        Unit vectors.
+    """
     return np.stack((np.cos(angle), np.sin(angle)), axis=-1)
 
 
 def as_complex(vectors: np.ndarray) -> np.ndarray:
-    """Real `vectors` (..., 2) as complex numbers (...), the inverse of `as_vectors`."""
+    """Return vectors as complex numbers, the inverse of `as_vectors`.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (..., 2)
+        Real vectors.
+
+    Returns
+    -------
+    ndarray of complex, shape (...)
+        x + iy.
+    """
     return np.ascontiguousarray(vectors).view(complex)[..., 0]
 
 
 def as_vectors(z: np.ndarray) -> np.ndarray:
-    """Complex `z` (...) as real vectors (..., 2), the inverse of `as_complex`."""
+    """Return complex numbers as vectors, the inverse of `as_complex`.
+
+    Parameters
+    ----------
+    z : ndarray of complex, shape (...)
+        x + iy.
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        Real vectors.
+    """
     return np.ascontiguousarray(z).view(float).reshape(*z.shape, 2)

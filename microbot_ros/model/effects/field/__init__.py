@@ -1,1 +1,1 @@
-"""Effects on the field."""
+"""Effects on the field (stage 1)."""

@@ -1,4 +1,4 @@
-"""An amplifier that does nothing near zero."""
+"""Dead band of an amplifier about zero."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from microbot_ros.model.parameter import COILS, parameter
 class AmplifierDeadband(Effect):
     """Each axis loses its first b: Bₖ = sign(Bₖ) max(|Bₖ| − b, 0), before the coils.
 
-    For rollers whose field strength is not stated, b is in units of the nominal field of 1 mT:
-    a dead band of 0.11 mT is 11 % of full scale.
+    For rollers of unknown field strength, b is in units of the nominal field of 1 mT: a dead band
+    of 0.11 mT is 11 % of full scale.
     """
 
     id = 'amplifier_deadband'

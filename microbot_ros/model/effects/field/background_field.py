@@ -1,4 +1,4 @@
-"""A constant field that nobody commanded: the Earth's, a magnet's, an amplifier's offset."""
+"""Constant field without a command: of the Earth, a magnet, or an amplifier's offset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The two coil pairs are not equally strong."""
+"""Different gains of the two coil pairs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from microbot_ros.model.parameter import ALIKE, parameter
 class CoilGainMismatch(Effect):
     """B = diag(1, g) B_cmd.
 
-    Bounds of g: coils in series and in parallel differ by 2; beyond 2.5 a pair has failed.
+    Bounds of g: coils in series and in parallel differ by 2; above 2.5 a pair has failed.
     """
 
     id = 'coil_gain_mismatch'

@@ -1,4 +1,4 @@
-"""The two coil pairs are not square to each other."""
+"""Axes of the two coil pairs that are not perpendicular."""
 
 from __future__ import annotations
 

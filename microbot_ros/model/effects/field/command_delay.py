@@ -1,4 +1,4 @@
-"""The field follows the command late."""
+"""Delay between command and field."""
 
 from __future__ import annotations
 
@@ -27,5 +27,5 @@ class CommandDelay(Effect):
 
     @classmethod
     def absorbed_by_phi(cls, evidence: Evidence) -> bool:
-        """As where the command turns one way only."""
+        """Return whether φ absorbs it, as for a command that turns in one sense only."""
         return evidence.absorbs(cls(delay=5e-4))

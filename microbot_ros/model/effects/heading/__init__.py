@@ -1,1 +1,1 @@
-"""Effects on the heading."""
+"""Effects on the heading (stage 2)."""

@@ -1,4 +1,4 @@
-"""The heading turns towards the field at a finite rate."""
+"""Alignment of the heading with the field at a finite rate."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from microbot_ros.model.parameter import STAMPS, parameter
 class AlignmentLag(Effect):
     """dθ/dt = (|B|/B_ref)/τ · sin(θ_B + φ − θ), B the field after stage 1.
 
-    The overdamped balance of magnetic torque d·B and rotational drag 8πηr³: at the reference
-    field τ = 8πηr³/(d·B_ref). τ = 0 is alignment at once.
+    The overdamped balance of magnetic torque d·B and rotational drag 8πηr³: at the reference field
+    τ = 8πηr³/(d·B_ref). τ = 0 is immediate alignment.
     """
 
     id = 'alignment_lag'
@@ -36,5 +36,5 @@ class AlignmentLag(Effect):
 
     @classmethod
     def absorbed_by_phi(cls, evidence: Evidence) -> bool:
-        """As where the command turns one way only."""
+        """Return whether φ absorbs it, as for a command that turns in one sense only."""
         return evidence.absorbs(cls(tau=1e-3))

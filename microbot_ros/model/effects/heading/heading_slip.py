@@ -1,4 +1,4 @@
-"""The angle between field and travel creeps."""
+"""Slow change of the angle between field and travel."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Effects on what the camera reports."""
+"""Effects on what the camera reports (stage 4)."""

@@ -1,4 +1,4 @@
-"""The camera’s pixels are not square."""
+"""Pixels of the camera that are not square."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from microbot_ros.model.parameter import parameter
 
 @dataclass(frozen=True)
 class PixelAnisotropy(Effect):
-    """measured = diag(1, a) true.
+    """Measured = diag(1, a) true.
 
-    Bounds of a: wide-screen video pixels are 1.46 as wide as high (ITU-R BT.601); no camera goes
-    beyond. Motion that is not isotropic for another reason, as of rollers whose speed fluctuates
-    along one line, would exceed them. One field of an interlaced picture, half the rows, is not in
-    them: it shows in the film.
+    Bounds of a: wide-screen video pixels are 1.46 times as wide as high (ITU-R BT.601), and no
+    camera exceeds that. Motion that is anisotropic for another reason, as of rollers whose speed
+    fluctuates along one line, would exceed them. One field of an interlaced image, half the rows,
+    is outside too: it is visible in the film.
     """
 
     id = 'pixel_anisotropy'
@@ -37,9 +37,10 @@ class PixelAnisotropy(Effect):
 
     @classmethod
     def applies(cls, evidence: Evidence) -> bool:
-        """Whether commands turn far enough.
+        """Return whether the commands turn far enough.
 
-        Along one line, speeds absorb it. Within some 9° of a line less than 5 % of its information
-        is left, and it bends paths as unlike coils do; cameras are squarer than coils are alike.
+        Along one line, speeds absorb the effect. Within about 9° of a line less than 5 % of its
+        information remains, and it bends paths as unequal coils do; cameras are squarer than coils
+        are equal.
         """
         return not evidence.absorbs(cls(1.01), beside=[CoilGainMismatch(1.01)])

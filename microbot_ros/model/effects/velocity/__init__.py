@@ -1,1 +1,1 @@
-"""Effects on the velocity."""
+"""Effects on the velocity (stage 3)."""

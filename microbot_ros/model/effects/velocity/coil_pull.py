@@ -1,4 +1,4 @@
-"""A coil on one side makes the field and pulls along it."""
+"""Pull towards a single coil that makes the field."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from microbot_ros.model.parameter import parameter
 class CoilPull(Effect):
     """dp/dt += k B, B the field after stage 1.
 
-    On the axis of a single coil ∇|B| points to the coil and is g|B|, the same for all places
-    near the centre; the coil stands where the field points to. k = g m/(6πηr), as for
-    `gradient_force`; g and what several coils of one side each do are in
-    docs/explanation/magnetics.md.
+    On the axis of a single coil ∇|B| points to the coil and equals g|B|, the same at all places
+    near the centre; the field points to the coil. k = g m/(6πηr), as for `gradient_force`. For g,
+    and for several coils on one side each, see docs/explanation/magnetics.md.
     """
 
     id = 'coil_pull'

@@ -1,4 +1,4 @@
-"""Magnetised particles attract and repel each other."""
+"""Attraction and repulsion of magnetised particles."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from microbot_ros.model.physics.vectors import as_vectors
 class DipoleInteraction(Effect):
     """Pair force of moments along B, ∝ r⁻⁴, over Stokes drag; missing neighbours do not count.
 
-    Two point dipoles of equal moment m b̂, r̂ from the neighbour to the particle, c = b̂·r̂, push
-    each other with F = 3µ₀m²/(4πr⁴) [2c b̂ + (1 − 5c²) r̂]: in line they attract with −2 r̂, side by
-    side they repel with +r̂ (Yung, Landecker and Villani, Magnetic and Electrical Separation 9,
-    39, 1998, with parallel moments). Hence dpᵢ/dt += Σⱼ S/r⁴ [2c b̂ + (1 − 5c²) r̂] with
-    S = 3µ₀m²/(4π · 6πηR). Without a field the moments have no common direction: no force.
+    Two point dipoles of equal moment m b̂, with r̂ from the neighbour to the particle and c =
+    b̂·r̂, repel each other with F = 3µ₀m²/(4πr⁴) [2c b̂ + (1 − 5c²) r̂]: in line they attract with
+    −2 r̂, side by side they repel with +r̂ (Yung, Landecker and Villani, Magnetic and Electrical
+    Separation 9, 39, 1998, for parallel moments). Hence dpᵢ/dt += Σⱼ S/r⁴ [2c b̂ + (1 − 5c²) r̂]
+    with S = 3µ₀m²/(4π · 6πηR). Without a field the moments have no common direction and there is
+    no force.
     """
 
     id = 'dipole_interaction'

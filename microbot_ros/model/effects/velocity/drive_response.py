@@ -1,4 +1,4 @@
-"""Rollers do not follow the drive at every frequency alike."""
+"""Speed of rollers that is not proportional to the frequency of the drive."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class DriveResponse(Effect):
     """v = gain · f · r(f), with r = c(f) · (1 − slip · s(f)).
 
     c = fⁿ/(fⁿ + f_cⁿ) rises from 0 to 1 about the cut-in f_c, below which the particle hardly
-    follows; s = fᵐ/(fᵐ + f_sᵐ) rises about the step-out f_s, above which the gain has lost the
+    follows. s = fᵐ/(fᵐ + f_sᵐ) rises about the step-out f_s, above which the gain has lost the
     part `slip`: all of it where the particle loses the field (slip 1), some where it slides. f_c
     is at most f_s: a particle follows before it loses the field. The gain is that of proportional
-    rolling between the two, so it stays identifiable. Hill’s curve is chosen for covering the
-    known shapes: a dead zone f − f_c (n near 1), a threshold (large n), the 1/f² of a rotor beyond
-    step-out (slip 1, m near 2 to 4).
+    rolling between the two, so it stays identifiable. Hill’s curve covers the known shapes: a dead
+    zone f − f_c (n near 1), a threshold (large n), the 1/f² of a rotor beyond step-out (slip 1, m
+    near 2 to 4).
     """
 
     id = 'drive_response'
@@ -61,7 +61,7 @@ class DriveResponse(Effect):
         return min(len(cls.parameters()), len(evidence.frequencies) - 1)
 
     def shape_seen(self, evidence: Evidence) -> bool:
-        """At the bounds too: they are limits of the curve, as a slip of all the gain."""
+        """Return True: its bounds are limits of the curve, as a slip of the whole gain."""
         return True
 
     @classmethod
@@ -74,7 +74,21 @@ class DriveResponse(Effect):
 
 
 def hill(f: np.ndarray, half: float, steepness: float) -> np.ndarray:
-    """fⁿ/(fⁿ + halfⁿ) for f ≥ 0 and n = `steepness`: from 0 to 1, one half at `half` > 0, else 1.
+    """Return Hill's curve fⁿ/(fⁿ + halfⁿ).
+
+    Parameters
+    ----------
+    f : ndarray
+        Frequencies, not negative [Hz].
+    half : float
+        Frequency at which the curve is one half [Hz].
+    steepness : float
+        n.
+
+    Returns
+    -------
+    ndarray
+        From 0 to 1; 1 everywhere for `half` = 0.
     """
     if half == 0:
         return np.ones_like(f)

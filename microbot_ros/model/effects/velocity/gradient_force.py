@@ -1,4 +1,4 @@
-"""The field of crossed pairs of coils is not uniform, and pulls where it is stronger."""
+"""Pull towards stronger field between crossed pairs of coils."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from microbot_ros.model.parameter import parameter
 class GradientForce(Effect):
     """dp/dt += k |B| M p, M = [[2c² − s², −2cs], [−2cs, 2s² − c²]], about the origin.
 
-    c and s are those of the angle of B, the field after stage 1. |B| M p is ∇|B|/a near the
-    centre of two equal pairs of coaxial coils along x and y (derived in
-    docs/explanation/magnetics.md from ∇·B = 0 and ∇×B = 0), a = B''/2B on a pair's axis.
-    k = a m/(6πηr): the force m ∇|B| on a moment m along the field, divided by Stokes drag.
+    c and s are cosine and sine of the angle of B, the field after stage 1. |B| M p is ∇|B|/a near
+    the centre of two equal pairs of coaxial coils along x and y (derived in
+    docs/explanation/magnetics.md from ∇·B = 0 and ∇×B = 0), with a = B''/2B on a pair's axis. k =
+    a m/(6πηr): the force m ∇|B| on a moment m along the field, divided by Stokes drag.
     """
 
     id = 'gradient_force'

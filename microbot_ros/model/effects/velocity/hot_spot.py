@@ -1,4 +1,4 @@
-"""Particles flee a spot that a laser heats."""
+"""Repulsion from a spot that a laser heats."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
 
 _WIDTHS = (3, 5, 8, 12, 20)
-"""Widths to begin with: the extent of the tracks over these."""
+"""Ratios of the extent of the tracks to starting widths. Choice: a factor of 1.6 apart."""
 
 PASSED = 4
-"""Frames in which a particle has to be within a width of the spot, on its way through it."""
+"""Frames for which a particle must be within a width of the spot when it passes through.
+
+Choice: fewer frames look like a step of a track.
+"""
 
 VISITS, LITTLE = 3, 0.1
-"""Times that particles come within two widths, and part of all rows, below which what happens
-there has happened but once or twice."""
+"""Visits within two widths, and fraction of all rows there (`LITTLE`), below both of which the
+spot is a single event. Choice: what happened once or twice is no field of place."""
 
 
 @dataclass(frozen=True)
 class HotSpot(Effect):
-    """Away from a heated spot: dp/dt += A (r/s) exp(½ − r²/2s²) r̂; largest, A, at r = s."""
+    """Away from a heated spot: dp/dt += A (r/s) exp(½ − r²/2s²) r̂; maximum A at r = s."""
 
     id = 'hot_spot'
     stage = 'velocity'
@@ -54,7 +57,7 @@ class HotSpot(Effect):
 
     @classmethod
     def _grid(cls, evidence: Evidence) -> tuple[Self, ...]:
-        """On grids over what the tracks of all recordings cover, a width apart, at five widths."""
+        """Return spots on grids over the area of all tracks, a width apart, for five widths."""
         places = [one.positions.reshape(-1, 2) for one in evidence.recordings
                   if one.positions is not None]
         if not places:
@@ -72,7 +75,7 @@ class HotSpot(Effect):
         return bool(np.hypot(self.x - other.x, self.y - other.y) <= max(self.width, other.width))
 
     def _inside(self, recorded: Recorded) -> np.ndarray:
-        """Rows (T, N) bool within two widths, which is as far as the spot reaches."""
+        """Return rows (T, N) within two widths, which is the reach of the spot."""
         if recorded.positions is None:
             return np.zeros((1, 1), bool)
         away = recorded.positions - np.array([self.x, self.y])
@@ -80,9 +83,9 @@ class HotSpot(Effect):
         return inside
 
     def trials(self, evidence: Evidence) -> float:
-        """Chance is shared out evenly over octaves of width, since a spot may be of any size.
+        """Return the number of places, with equal prior probability for each octave of width.
 
-        Among narrow ones there are more to look at, and each pays for all.
+        A spot may have any size. There are more places for narrow ones, and each pays for all.
         """
         grid = self._grid(evidence)
         area = np.ptp([spot.x for spot in grid]) * np.ptp([spot.y for spot in grid])
@@ -90,10 +93,10 @@ class HotSpot(Effect):
         return float(max(len({spot.width for spot in grid}) * area / (4 * self.width) ** 2, 1.0))
 
     def shape_seen(self, evidence: Evidence) -> bool:
-        """Not where only the far slope was passed: it stands in for anything smooth.
+        """Return whether tracks show more than the far slope, which could be anything smooth.
 
-        Nor where particles cross it within PASSED frames, which is a step of a track, or came
-        by on fewer than VISITS occasions for little of the time, which is an event.
+        Particles that cross the spot within PASSED frames make a step of a track. Fewer than
+        VISITS for little of the time make an event. Neither counts.
         """
         std = evidence.deviations(self)
         recordings = evidence.recordings
@@ -109,7 +112,7 @@ class HotSpot(Effect):
 
 
 def _step(recorded: Recorded) -> float:
-    """The usual distance between two frames [m]: half of all are longer."""
+    """Return the median distance between two frames [m]."""
     if recorded.positions is None:
         return 0.0
     steps = np.hypot(*np.moveaxis(np.diff(recorded.positions, axis=0), -1, 0))

@@ -1,4 +1,4 @@
-"""Neighbours hold each other back."""
+"""Slowing of particles by their neighbours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""In a weak field thermal motion keeps the moments from aligning."""
+"""Incomplete alignment of moments in a weak field by thermal motion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class IncompleteAlignment(Effect):
     """v → v L(|B|/b₀), L(x) = coth x − 1/x, B the field after stage 1.
 
     Langevin’s function is the mean alignment of moments at thermal equilibrium in three
-    dimensions; b₀ = k_B T / d is where the magnetic and the thermal energy are equal.
+    dimensions. At b₀ = k_B T / d the magnetic and the thermal energy are equal.
     """
 
     id = 'incomplete_alignment'
@@ -38,7 +38,20 @@ class IncompleteAlignment(Effect):
 
 
 def langevin_function(x: np.ndarray) -> np.ndarray:
-    """L(x) = coth x − 1/x; near zero its series x/3 − x³/45, where the difference cancels."""
+    """Return Langevin's function L(x) = coth x − 1/x.
+
+    Near zero it uses the series x/3 − x³/45, since the difference cancels there.
+
+    Parameters
+    ----------
+    x : ndarray
+        Argument.
+
+    Returns
+    -------
+    ndarray
+        L(x).
+    """
     small = np.abs(x) < 1e-2
     large = np.where(small, 1.0, x)
     return np.where(small, x / 3 - x**3 / 45, 1 / np.tanh(large) - 1 / large)

@@ -1,4 +1,4 @@
-"""A flow that grows linearly from the origin: shear, strain, vortex."""
+"""Flow that grows linearly from the origin: shear, strain or vortex."""
 
 from __future__ import annotations
 

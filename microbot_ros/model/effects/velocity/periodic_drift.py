@@ -1,4 +1,4 @@
-"""The liquid swings to and fro."""
+"""Oscillation of the liquid."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
 
 PERIODS = 2.0
-"""Periods that a recording must hold to be said to swing."""
+"""Fewest periods in a recording of an oscillation. Choice: less is a trend."""
 
 _PEAKS = 6
-"""Of a periodogram, that are looked at more closely."""
+"""Number of peaks of a periodogram that are evaluated. Choice: more cost time."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class PeriodicDrift(Effect):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> Sequence[Self]:
-        """Where what is left swings most; turning both ways, so that any ellipse counts."""
+        """Return the largest peaks of the residual, both rotations: any ellipse counts."""
         frequency, forward, back = evidence.swings()
         power = np.abs(forward) ** 2 + np.abs(back) ** 2
         known = next(p for p in cls.parameters() if p.field == 'frequency')
@@ -61,26 +61,26 @@ class PeriodicDrift(Effect):
 
     @classmethod
     def _turning(cls, frequency: float, forward: complex, back: complex) -> Self:
-        """With the direction and the phase of two amplitudes, of no strength.
+        """Return an effect of zero strength with the direction and phase of two amplitudes.
 
-        x + iy = ½ a (e^{i(α+ψ)} e^{iωt} + e^{i(α−ψ)} e^{−iωt}): the two turning parts.
+        x + iy = ½ a (e^{i(α+ψ)} e^{iωt} + e^{i(α−ψ)} e^{−iωt}): the two rotating parts.
         """
         ahead, behind = np.angle(forward), np.angle(back)
         direction, phase = (ahead + behind) / 2, (ahead - behind) / 2
-        # The other way round half a period later is the same: directions are told from 0 to π.
+        # The opposite direction half a period later is the same: directions are within 0 and π.
         turns = np.floor(direction / np.pi)
         direction -= turns * np.pi
         phase = (phase - turns * np.pi + np.pi) % (2 * np.pi) - np.pi
         return cls(0.0, frequency, float(direction), float(phase))
 
     def trials(self, evidence: Evidence) -> float:
-        """Chance is shared out evenly over octaves, since a swing may be of any frequency.
+        """Return the number of frequencies, with equal prior probability for each octave.
 
-        Among fast ones there are more to look at, and each pays for all.
+        An oscillation may have any frequency. There are more high ones, and each pays for all.
         """
         periods = self.frequency * evidence.duration
         return float(max(periods * np.log(evidence.fastest * evidence.duration / PERIODS), 1.0))
 
     def shape_seen(self, evidence: Evidence) -> bool:
-        """Not half a swing: it stands in for anything smooth."""
+        """Return whether the recording has PERIODS: half a period could be anything smooth."""
         return bool(self.frequency * evidence.duration >= PERIODS)

@@ -1,4 +1,4 @@
-"""The fuel runs out."""
+"""Exhaustion of the fuel."""
 
 from __future__ import annotations
 
@@ -35,5 +35,5 @@ class SpeedDecay(Effect):
 
     @classmethod
     def applies(cls, evidence: Evidence) -> bool:
-        """Whether the particles burn fuel: rollers have none."""
+        """Return whether the particles burn fuel: rollers do not."""
         return evidence.propulsion == 'catalytic'

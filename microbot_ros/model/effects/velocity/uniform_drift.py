@@ -1,4 +1,4 @@
-"""A steady current carries every particle alike."""
+"""Steady flow that carries all particles equally."""
 
 from __future__ import annotations
 
