@@ -87,7 +87,7 @@ class Port:
             data = self._waiting()
             while not (data or self._woken) and (left := deadline - time.monotonic()) > 0:
                 if brief:
-                    _ready(self._serial, select.POLLIN, left)
+                    _ready(self._serial.fileno(), select.POLLIN, left)
                     data = self._waiting()
                 else:
                     data = bytes(self._serial.read(1)) + self._waiting()
