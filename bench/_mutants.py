@@ -39,7 +39,7 @@ TESTS = {
     'drive.adapter': (['test_adapter'], ''),
     'drive.amplifier': (['test_amplifiers', 'test_lines', 'test_adapter', 'test_sabertooth'], ''),
     'drive.polled': (['test_polled', 'test_amplifiers', 'test_lines', 'test_modbus', 'test_scpi',
-                      'test_roboclaw'], ''),
+                      'test_roboclaw', 'test_channels'], ''),
     'drive.last_resort': (['test_sentinel'], ''),
     'drive.sentinel': (['test_sentinel'], ''),
     'drive.amplifiers.serial_transfer.driver': (
