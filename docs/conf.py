@@ -17,6 +17,8 @@ release = version = microbot_ros.__version__
 
 extensions = [
     'myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.autosummary', 'sphinx.ext.napoleon']
+napoleon_google_docstring = False
+napoleon_use_ivar = True  # autodoc lists the fields of dataclasses itself
 myst_enable_extensions = ['colon_fence']
 exclude_patterns = ['examples', 'template']
 if tags.has('prose'):  # noqa: F821 - Sphinx's own; `-t prose` leaves out what docstrings say
@@ -36,8 +38,6 @@ html_css_files = ['width.css']
 
 autodoc_member_order = 'bysource'
 autosummary_generate = False  # the tables lead to the sections below them
-napoleon_google_docstring = False
-napoleon_use_ivar = True
 autodoc_default_options = {'members': True, 'ignore-module-all': True}
 # What drives cameras and policies need not be there to read what a room offers.
 autodoc_mock_imports = ['gi', 'pymmcore', 'pypylon', 'onnxruntime']

@@ -7,6 +7,7 @@
 * Every public function, class and method has the sections of numpydoc: `Parameters` lists the
   parameters of the signature, all of them and no others; `Returns` or `Yields` says what comes
   back. Files of `SECTIONS_TO_DO` are not rewritten yet: there a section may be missing.
+* Every constant number has a string below it, or a comment, that says where it is from.
 * Imports run one way, file by file: what one file needs of another never leads back to it.
 * What is compiled uses the cache that many processes may share.
 """
@@ -16,6 +17,7 @@ import gc
 import re
 import sys
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 from numpydoc.docscrape import NumpyDocString
@@ -214,6 +216,28 @@ def of_class(cls):
             yield f'does not describe `{name}`'
 
 
+def unexplained(text):
+    """Names of the numbers of a module or its classes without a string below or a comment."""
+    lines = text.splitlines()
+
+    def within(body):
+        for node, after in pairwise([*body, None]):
+            if isinstance(node, ast.ClassDef):
+                yield from within(node.body)
+            if not (isinstance(node, ast.Assign | ast.AnnAssign) and node.value):
+                continue
+            number = any(isinstance(one, ast.Constant) and type(one.value) in (int, float)
+                         for one in ast.walk(node.value))
+            below = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            name = ast.unparse(target).split(',')[0].strip('(')
+            beside = '#' in lines[node.end_lineno - 1] or '#' in lines[node.lineno - 2][:5]
+            if re.fullmatch(r'[A-Z_]*[A-Z][A-Z0-9_]+', name) and number and not (below or beside):
+                yield name
+
+    return within(ast.parse(text).body)
+
+
 # Imports ----------------------------------------------------------------------------------------
 
 FILES = {
@@ -282,6 +306,8 @@ def main():
     modules = [module for room in ROOMS for module in public_modules(room)]
     names = {label for module in modules for label, _, _ in public_names(*module)}
     wrong = [one for module in modules for one in complaints(*module)]
+    wrong += [(f'{path.relative_to(ROOT)}: {name}', 'lacks a word on where its value is from')
+              for path, _ in modules for name in unexplained(path.read_text(encoding='utf-8'))]
     found = [f'{where} {what}' for where, what in wrong
              if not (what.startswith('lacks') and where.startswith(SECTIONS_TO_DO))]
     if around := circle({name: sorted({*needs(name)} - {name}) for name in FILES}):

@@ -44,6 +44,20 @@ def test_what_no_docstring_describes_is_named():
         ('shown', 'lacks a Returns section')}
 
 
+def test_a_constant_without_an_origin_is_found():
+    text = '''
+"""A module."""
+KNOWN = 1
+"""From a paper."""
+COUNT, _LIMIT = 2, 3
+class Field:
+    STEP: float = 0.1  # measured
+    _ROOM = 7
+Name = int
+'''
+    assert list(lint.unexplained(text)) == ['COUNT', '_ROOM']
+
+
 def test_a_circle_is_found():
     assert lint.circle({'a': ['b'], 'b': ['c', 'd'], 'c': [], 'd': ['b']}) == ['b', 'd', 'b']
     assert lint.circle({'a': ['b', 'c'], 'b': ['c'], 'c': []}) == []

@@ -77,7 +77,7 @@ class FitEvidence(Evidence):
         return any(len(p.session.ids) > 1 for p in self.fit.session_fits)
 
     def absorbs(self, little: Effect, beside: Sequence[Effect] = ()) -> bool:
-        # What is left of it then shows in the likelihood only through what else is wrong.
+        # Otherwise other errors of the model would decide about the rest of its information.
         bare = ModelFit(replace(self.fit.model, effects=()), self.fit.session_fits)
         model = bare.model
         for effect in (*beside, little):

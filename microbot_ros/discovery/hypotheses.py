@@ -355,7 +355,7 @@ class Hypotheses:
         """Log odds for all effects of the model together, less the cost of their choice."""
         if not self.slots:
             return 0.0
-        # On the same rows: what a lag can't explain is left out.
+        # On the same rows, since a lag excludes rows that it cannot explain.
         rest = fit_with_noise(self.fit.under(self.start.model))
         return joint_log_bayes_factor(self.fit, rest, [s.own.found for s in self.slots]) - (
             len(self.slots) * likelier_than_not())
@@ -462,7 +462,7 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
     known = _search(sessions, taken, FEW, report, run)
     plain = known.fit
     for effect in plain.model.effects:
-        if effect.overrides('alignment_rate'):  # a filter has room for one memory
+        if effect.overrides('alignment_rate'):  # the noise filter has only one memory
             plain = without(plain, effect.id)
     restless = unsteady(sessions, plain, known.fit)
     if restless is None:

@@ -266,7 +266,7 @@ def _walk(fit: ModelFit, k: int, side: int, last: ModelFit,
             break
         last = _held(fit, k, at, last)
         points.append(last)
-    if _root(last, fit) < ROOT - BENT:  # it hardly falls: there may be no end before the bound
+    if _root(last, fit) < ROOT - BENT:  # a flat profile may have no end before the bound
         last = _held(fit, k, bounds[side > 0], last)
         points.append(last)
     middle = [_held(fit, k, x + part * (_at(last, k) - x), last) for part in (0.33, 0.67)]

@@ -90,7 +90,7 @@ def in_processes(call: Callable[[Given], Found], items: Sequence[Given],
     _work = _Work(call, items, kept)
     try:
         context = multiprocessing.get_context('fork')
-        # Frozen, what is inherited is not copied because garbage is looked for in it.
+        # Without a freeze, garbage collection would write to inherited pages, which copies them.
         with ProcessPoolExecutor(min(jobs, len(items)), context, gc.freeze) as pool:
             return [_Reader(io.BytesIO(found), kept).load()
                     for found in pool.map(_found, range(len(items)))]

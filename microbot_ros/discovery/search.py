@@ -3,7 +3,7 @@
 Effects with a place, a width or a frequency have many local maxima. Where no effect is present,
 the largest of them exceeds what χ² predicts. Such effects are scanned first, and their p-value is
 corrected for every independent place tried (the look-elsewhere effect: Davies 1987, Gross and
-Vitells 2010). Each effect defines its own scan (`Effect`, "How it is looked for").
+Vitells 2010). Each effect defines its own scan (`Effect`, "Search for the effect").
 """
 
 from __future__ import annotations

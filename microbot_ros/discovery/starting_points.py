@@ -114,7 +114,7 @@ def likely_places(fit: ModelFit, starts: Iterable[AnyEffect],
     found = list(starts)
     blocks = [_Blocks.of(p, fit.model) for p in fit.session_fits]
     slope, information = np.array([_score(blocks, start) for start in found]).T
-    # Where hardly anybody came by, nothing can be seen.
+    # Places that particles hardly visited must not win by chance.
     power = slope**2 / (information + 1e-3 * information.max())
     chosen: list[AnyEffect] = []
     for k in np.argsort(-power):

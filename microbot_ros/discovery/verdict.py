@@ -277,7 +277,7 @@ def _in_place_of_fields(known: Hypotheses, report: Callable[[str], None]) -> Fin
     found = known.term_beside(rest, report)
     if found is None or found.term.against != 'position':
         return None
-    # Both with the noise at its maximum: at that of the term the rest looks too bad.
+    # Each at its own noise: at the noise of the term the rest has too low a likelihood.
     gained = with_term(rest, found.term).log_likelihood - rest.log_likelihood
     evidence = found.log_evidence - found.gain + gained
     return found if evidence > together - len(fields) * likelier_than_not() + RIVAL else None

@@ -83,8 +83,8 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
     normal, there, free = NORMALS[k], np.abs(inwards[:, k]) < breadth, inwards[:, k] > 2 * breadth
     if share.max() < LONG:
         return False
-    # A wall leaves the motion along it free, and all motion elsewhere: c by these, as two real
-    # numbers. By the motion along it alone c is hardly known where that keeps to one line.
+    # A wall permits motion along it, and all motion elsewhere: c is fitted to these, as two real
+    # numbers. Motion along the wall alone would determine c badly.
     along, way = (steps / (1j * normal)).real, swum / (1j * normal)
     moved, ways = np.append(along, (steps / normal).real[free]), np.append(way, 1j * way[free])
     columns = np.stack([ways.real, -ways.imag], axis=1)
@@ -155,7 +155,7 @@ class HeldWatch:
                     self._tracks[name].append((t, place, self._ways[name], self._carried[name]))
         before = self.held & set(names)
         self.held = set(before)
-        if names:  # one a frame: a look takes half a millisecond
+        if names:  # one per frame, since each takes half a millisecond
             self._turn = (self._turn + 1) % len(names)
             self._look(names[self._turn])
         return sorted(before - self.held)

@@ -244,7 +244,7 @@ class Effect(ABC):
         """
         return observed
 
-    # How it is looked for -----------------------------------------------------------------------
+    # Search for the effect ----------------------------------------------------------------------
 
     @classmethod
     def applies(cls, evidence: Evidence) -> bool:  # noqa: ARG003

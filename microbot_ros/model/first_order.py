@@ -76,7 +76,7 @@ def _spread(response: Response, velocity: np.ndarray, start: np.ndarray) -> np.n
 
 def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start: np.ndarray,
           begin: np.ndarray | None) -> np.ndarray:
-    # What turns headings by place is asked at every step.
+    # Terms that turn headings by place are evaluated at every step.
     local = tuple(one for one in model.learned if one.needs_position and one.acts_on == 'heading')
     rest = replace(model, learned=tuple(one for one in model.learned if one not in local))
     segments, course, context = integrate_heading(rest, timeline, begin)

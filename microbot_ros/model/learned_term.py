@@ -121,7 +121,7 @@ class LearnedTerm:
         """Whether it is constant in time under a constant command."""
         return self.against not in ('time', 'time since switch')
 
-    # What it does -------------------------------------------------------------------------------
+    # Its action ---------------------------------------------------------------------------------
 
     def heading_offset(self, context: EffectContext) -> np.ndarray | float:
         """Return the angle that it adds to the heading.

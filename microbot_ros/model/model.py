@@ -135,7 +135,7 @@ class Model:
             reference = float(np.median(driven)) if driven.size else 1e-3
         return cls(reference, 'rolling' if conditions.propulsion == 'rolling' else 'catalytic')
 
-    # Which effects it has -----------------------------------------------------------------------
+    # Effects of the model -----------------------------------------------------------------------
 
     @property
     def _terms(self) -> tuple[Effect | LearnedTerm, ...]:
@@ -269,7 +269,7 @@ class Model:
         """
         return tuple(e for e in self.effects if any(e.overrides(hook) for hook in hooks))
 
-    # What its effects need ----------------------------------------------------------------------
+    # Needs of the effects -----------------------------------------------------------------------
 
     @cached_property
     def needs_position(self) -> bool:

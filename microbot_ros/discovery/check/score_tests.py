@@ -247,7 +247,7 @@ def _curves(
     length = np.abs(group.frame)
     use = e.joined() & np.isfinite(group.value) & (length > DIRECTED)
     turned = left * np.conj(group.frame) / np.maximum(length, DIRECTED) / np.diff(e.times)[:, None]
-    # Levels that differ by rounding are one.
+    # Levels that differ by rounding errors are equal.
     value, velocity = np.round(group.value[use], 6), turned[use]
     if not value.size:
         return np.empty(0), {}

@@ -265,7 +265,7 @@ def choose_plan(fit: ModelFit, questions: Sequence[Question], search: Search | N
                   min(float(np.median(costs[:RANDOM])) / cost, LONGEST))
 
 
-# What a plan is worth ---------------------------------------------------------------------------
+# Value of a plan --------------------------------------------------------------------------------
 
 @dataclass(frozen=True)
 class _Outcome:
@@ -330,7 +330,7 @@ class _Price:
         spent = self.duration + float(asked[trial.weight >= 1].max(initial=0.0))
         spent += float(weight @ np.concatenate([asked, sought]) / max(weight.sum(), 1e-9))
         shown = outcome.shown / max(self.usual_shown, 1e-30)
-        # Where nothing is asked, what is in no list is all there is to look for.
+        # Without a question, only velocities in no list remain to be found.
         useful = min(shown / STARVED, 1.0) if trial.questions else shown
         return spent * outcome.spoilt / max(useful, 1e-3)
 
@@ -379,7 +379,7 @@ class _Trial:
            limits: Range) -> _Trial:
         present = fit.session_fits[0].session
         recent = present.times > present.times[-1] - RECENT
-        # Where it is counts, though chance may have turned it in a way that nothing foretells.
+        # Its position counts, even if its heading cannot be predicted.
         seen = np.where(present.z[recent] != 0, present.z[recent], np.nan)
         tracks = np.flatnonzero(np.isfinite(seen).any(axis=0))
         if not tracks.size:
@@ -405,7 +405,7 @@ class _Trial:
         known = self.fit.session_fits[0]
         particles = ParticleParameters.from_velocity_phasor(
             known.session.ids[self.tracks], known.velocity_phasor[self.tracks])
-        # Where they come by is what matters, not to the last micrometre.
+        # A path that is off by some micrometres is accurate enough.
         plain = replace(self.fit.model, effects=tuple(
             e for e in self.fit.model.effects if not e.needs_position))
         places = simulate(plain, particles, commands, times, self.start)

@@ -108,7 +108,7 @@ def _empty(against: Against, frame: Frame, acts_on: ActsOn, axes: tuple[np.ndarr
     return replace(term, seen=held > 0.5)
 
 
-# What was looked at -----------------------------------------------------------------------------
+# Covariates of the data -------------------------------------------------------------------------
 
 def _values(fit: ModelFit, against: Against) -> np.ndarray:
     """Return all values (M,) of a covariate in the used frames of a `fit`; M may be 0."""
@@ -219,7 +219,7 @@ def _grid(z: np.ndarray) -> tuple[np.ndarray, ...] | None:
                  for m, n in zip(middle, count, strict=True))
 
 
-# What each knot does ----------------------------------------------------------------------------
+# Displacement by knots --------------------------------------------------------------------------
 
 def steps(fit: ModelFit, p: SessionFit, term: LearnedTerm) -> Iterator[csr_array]:
     """Return the displacement by a unit value of each knot, in each frame interval.

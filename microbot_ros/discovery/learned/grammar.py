@@ -137,7 +137,7 @@ def fit(formula: Formula, gram: np.ndarray, projection: np.ndarray,
         formula.starts, key=lambda shape: -at(shape).gain)[:TRIED]
     best = max((at(shape) for shape in starts), key=lambda one: one.gain)
     for start in starts:
-        # A simplex finds its way over steps, where there is no slope.
+        # A simplex also crosses steps, where the gradient is zero.
         first = np.clip(start, low, high)
         simplex = np.vstack([first, *(
             np.where(np.arange(len(first)) == k, np.where(

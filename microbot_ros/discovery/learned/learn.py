@@ -478,7 +478,7 @@ def centred(moments: Moments, tables: np.ndarray) -> np.ndarray:
         return tables
     weight = np.maximum(np.diagonal(moments.grams.sum(axis=(0, 1)))[3 + moments.count:], 0.0)
     mean = tables @ weight / weight.sum()
-    # Where a table does nothing, beyond what it is about, it goes on doing nothing.
+    # Zeros beyond the data stay zero.
     shown: np.ndarray = np.where(tables == 0, 0.0, tables - mean[..., None])
     return shown
 

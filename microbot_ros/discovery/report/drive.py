@@ -75,7 +75,7 @@ def drive(left: Residual, phi: np.ndarray, diffusion: float) -> Drive | None:
     spread = 2 * diffusion * np.broadcast_to(np.diff(left.times)[:, None], use.shape)[use]
     std = np.sqrt(np.bincount(which, np.abs(unit) ** 2 * spread)) / np.maximum(power, 1e-300)
     middles = np.bincount(which, np.broadcast_to(frequency[:, None], use.shape)[use])
-    # Where hardly anything was recorded, nothing is known.
+    # Bins with few data are left out.
     known = (power > 0) & (std < np.abs(by_plain))
     return Drive(*(column[known] for column in (
         middles / np.maximum(np.bincount(which), 1), measured_gain, std, by_found, by_plain)))

@@ -192,7 +192,7 @@ def draw_bands(prediction: Prediction) -> Figure:
 def _band(axis: Axes, prediction: Prediction, n: int, k: int) -> None:
     every = slice(None, None, -(-len(prediction.times) // MOST_POINTS))
     t, half = prediction.times[every], prediction.band[n, every] * 1e6
-    # Lines break where a prediction starts anew.
+    # Lines are interrupted where a prediction restarts.
     fresh = np.diff(prediction.elapsed[n, every], prepend=np.inf) < 0
     half[fresh] = np.nan
     found, plain = (np.where(fresh, np.nan, left[n, every, k]) * 1e6

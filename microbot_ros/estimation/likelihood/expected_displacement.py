@@ -94,7 +94,7 @@ class ExpectedDisplacement:
         """
         if not (self.isotropic and other.isotropic):
             return self.at(velocity_phasor) - other.at(velocity_phasor)
-        # What all particles share is compared once.
+        # Columns that all particles share are subtracted once.
         further: np.ndarray = (self.offset - other.offset) + (
             self.along - other.along) * velocity_phasor
         return further

@@ -445,7 +445,7 @@ class SessionFit:
         ndarray of complex, shape (T, N, P)
             Increments of variance D per axis.
         """
-        # With its session, as an id is given again once that is gone.
+        # The session is kept as well, since ids of deleted objects are reused.
         known: dict[Hashable, tuple[PreparedSession, np.ndarray]]
         known = vars(self.whitening).setdefault('_columns', {})
         shape = self.session.z.shape
@@ -515,14 +515,14 @@ class SessionFit:
         slope = math.log(upper.diffusion / lower.diffusion) / (2 * step)
         known, left = 2 / self.degrees_of_freedom, self.whitening.noise_ratio + exposure / 3
         reading = max(left, 0.0) * self.diffusion
-        # d σ²/d log D = σ², and d σ²/d log(σ²/D + h/3) = D (σ²/D + h/3) besides.
+        # d σ²/d log D = σ² and d σ²/d log(σ²/D + h/3) = D (σ²/D + h/3).
         reading_std = math.sqrt(
             reading**2 * known + variance * (reading * slope + total * self.diffusion) ** 2)
         localisation = math.sqrt(reading)
         return Noise(
             self.diffusion, localisation, exposure,
             self.diffusion * math.sqrt(known + slope**2 * variance),
-            # σ/2 times the relative spread of σ² where that is small, its root where σ² drowns.
+            # σ/2 times the relative spread of σ² if small; its root if σ² is not significant.
             math.sqrt(reading + reading_std) - localisation)
 
 

@@ -232,7 +232,7 @@ class ModelFit:
         if visible.any():
             chosen = np.ix_(visible, visible)
             result[chosen] = np.linalg.pinv(information[chosen], hermitian=True)
-        # Rounding may give what can hardly be told apart a variance below zero.
+        # Rounding errors may make the variance of nearly collinear parameters negative.
         variance = np.diagonal(result)
         np.fill_diagonal(result, np.where(variance > 0, variance, np.inf))
         return result
@@ -366,7 +366,7 @@ def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray
 
     step = np.zeros(len(x))
     step[free] = np.linalg.lstsq(information[chosen], slope[free], rcond=1e-14)[0]
-    # At a bound there may be a kink, which no parabola tells of.
+    # At a bound there may be a kink, which a parabola does not show.
     inside = ((x + step > low) & (x + step < high)).all()
     if inside and foretold(step) < NEGLIGIBLE:
         return None, 0.0, damping
@@ -704,7 +704,7 @@ def _fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit
     """Fit a `model` to the rows that it can explain, before and after the fit."""
     fit = _fit_predictable(model, sessions, [ROTATIONAL_DIFFUSION] * len(sessions))
     if fit.model.lags:
-        # What a lag can explain depends on how noisy headings are, too.
+        # The rows that a lag can explain also depend on the noise of headings.
         fit = _fit_predictable(fit.model, sessions, [
             s.whitening.diffusion_ratio * s.diffusion for s in fit.session_fits])
     located = [

@@ -611,7 +611,7 @@ def _lost(session: PreparedSession, model: Model, assumed: float) -> np.ndarray:
     variance = np.full(len(session.times), np.pi**2)
     for k in range(len(retention)):
         variance[k + 1] = min(retention[k] ** 2 * variance[k] + kick[k], np.pi**2)
-    # Where it is large at all times, the filter does what it can with it.
+    # If the variance is always large, rows are lost only at turns.
     usual = USUAL * float(np.median(variance))
     spread, gathered = max(SPREAD**2, 2 * usual), max(GATHERED**2, usual)
     lost = np.ones(len(variance), bool)

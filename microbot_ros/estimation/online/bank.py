@@ -123,7 +123,7 @@ class PhasorBank:
             Mask (N,) or indices (n,) of the particles that stay.
         """
         for name in self._ARRAYS:
-            # Another order in memory would be compiled for anew.
+            # Another memory layout would be compiled separately.
             setattr(self, name, getattr(self, name)[:, particles].copy('C'))
 
     def predict(
@@ -260,7 +260,7 @@ class PhasorBank:
         known = self.phasor_var[0]
         grown = np.minimum(known + change_var, np.maximum(phasor_var_max, known))
         self.p[slot], self.velocity_phasor[slot] = self.p[0], self.velocity_phasor[0]
-        # The old c placed the particle; the new c is independent of that beyond what is shared.
+        # The position depends on the old c; the new c shares only part of its variance.
         shared = known / grown
         self.p_var[slot] = self.p_var[0] + np.abs(self.g[0]) ** 2 * known * (1 - shared)
         self.g[slot] = self.g[0] * shared

@@ -333,7 +333,7 @@ class Estimator:
             self._faults = (
                 *self._track_faults.find(state, self._log.last, moving),
                 *self._propagator.beyond_learned(self._log, shared.delay.value, self._t, swarm))
-        # What was noted before the first frame counts from that frame on.
+        # Notes from before the first frame count from that frame on.
         self._notes = {
             text: max(at, self._t) if math.isinf(at) else at
             for text, at in self._notes.items() if math.isinf(at) or self._t - at < NOTED

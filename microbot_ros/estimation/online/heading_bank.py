@@ -113,7 +113,7 @@ class HeadingBank(PhasorBank):
         self.gs -= np.where(seen, np.conj(self.ps) / given_c * self.g, 0)
         kept = np.where(seen, noise / given_c, 1)
         learned = np.where(seen, np.abs(self.ps) ** 2 / given_c, 0)
-        # At least what a perfect correlation would leave: positive whatever the rounding.
+        # At least the rest after a perfect correlation: positive despite rounding errors.
         self.s_var = np.maximum(self.s_var - learned, self.s_var * kept)
         self.ps *= kept
         super().update(z, noise, seen)

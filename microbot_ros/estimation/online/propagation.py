@@ -180,7 +180,7 @@ class Propagator:
     def _timeline(self, log: CommandLog, delay: float, start: float, end: float,
                   swarm: Swarm) -> Timeline:
         vectors = as_vectors(swarm.position)
-        # How long a command has stayed takes a look back.
+        # The time since a switch needs earlier commands.
         memory = HEADING_MEMORY if self.model.learned else 0.0
         return Timeline(
             log.since(start - self.model.delay - memory, delay), np.array([start, end]),
@@ -196,7 +196,7 @@ class Propagator:
                 self.model.propulsion == 'rolling')
             return Step(path, _NO_DRIFT, end - start), heading[1:]
         timeline = self._timeline(log, delay, start, end, swarm)
-        # A heading common to all is carried on; one of each, or none yet, follows from commands.
+        # A common heading is continued; separate or undefined ones follow from the commands.
         known = self.heading.size == 1 and self.heading[0] != 0
         response = respond(self.model, timeline, self.heading if known else None)
         moved = response.drift[0, :, 0] + 1j * response.drift[0, :, 1]

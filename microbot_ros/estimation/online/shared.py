@@ -145,7 +145,7 @@ class SharedKnowledge:
         if not review.delay.determined:
             self.delay = replace(self.delay, std=np.nan)
             return False
-        # What the filter learned under the old delay, it would have learned turned by this.
+        # Under the new delay the filter would have learned velocity phasors times this factor.
         factor = np.exp(review.log_phasor_slope * (review.delay.value - self.delay.value))
         population.correct_velocity_phasors(factor)
         self.delay = review.delay

@@ -17,7 +17,7 @@ from microbot_ros.model.io.effect_table import EffectTable, build_effects
 from microbot_ros.model.io.learned_table import LearnedEntry, read_term, write_term
 from microbot_ros.model.model import Model, ParticleParameters, Propulsion
 
-# What a particle's `speed` is called in files.
+# Name of a particle's `speed` in files.
 _SPEED = {'catalytic': 'v_um_s', 'rolling': 'gain_um_s_hz'}
 
 

@@ -71,7 +71,7 @@ def integrate_direction(rows, delay, times, heading, rolling):  # type: ignore[n
     k = np.searchsorted(rows[:, 0], times[0] - delay, side='right') - 1
     last = k
     while last >= 0 and u == 0:
-        # A command that another replaced at once never acted.
+        # A command that was replaced at the same time never acted.
         if last == k or rows[last + 1, 0] > rows[last, 0]:
             u = _along(rows[last], u)
         last -= 1

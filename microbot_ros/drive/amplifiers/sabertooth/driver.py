@@ -5,6 +5,7 @@ Nothing comes back from them, neither currents nor a yes: what they do is what t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import cycle
 
@@ -48,7 +49,7 @@ class SabertoothAmplifier(Amplifier):
         self._free_s: float  # when the line has taken all
 
     def _open(self) -> None:
-        self._order, self._flowing = None, False
+        self._order, self._flowing, self._free_s = None, False, -math.inf
         self._lines.append(self._open_port(self.url, _BAUD))
         self._say(codec.BAUDING + self._zeros()[0] + b''.join(
             codec.set_timeout(address, self.timeout_s) for address in self._addresses))

@@ -67,7 +67,7 @@ class PeriodicDrift(Effect):
         """
         ahead, behind = np.angle(forward), np.angle(back)
         direction, phase = (ahead + behind) / 2, (ahead - behind) / 2
-        # The other way round half a period later is the same: directions are told from 0 to π.
+        # The opposite direction half a period later is the same: directions are within 0 and π.
         turns = np.floor(direction / np.pi)
         direction -= turns * np.pi
         phase = (phase - turns * np.pi + np.pi) % (2 * np.pi) - np.pi
