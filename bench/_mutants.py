@@ -31,15 +31,15 @@ _SWAPPED: dict[type, tuple[type, ...]] = {
     ast.Mult: (ast.Div,), ast.Div: (ast.Mult,), ast.And: (ast.Or,), ast.Or: (ast.And,),
 }
 TESTS = {
-    'drive.gate': (['test_gate'], ''),
-    'drive.self_check': (['test_self_check'], ''),
+    'drive.gate': (['test_gate', 'test_lateness'], ''),
+    'drive.self_check': (['test_self_check', 'test_lateness'], ''),
     'drive.coil_driver': (['test_coil_driver', 'test_sabertooth', 'test_coil_driver_thread',
                            'test_lateness'], 'not scpi'),
     'drive.heat': (['test_heat'], ''),
     'drive.adapter': (['test_adapter'], ''),
     'drive.amplifier': (['test_amplifiers', 'test_lines', 'test_adapter', 'test_sabertooth'], ''),
     'drive.polled': (['test_polled', 'test_amplifiers', 'test_lines', 'test_modbus', 'test_scpi',
-                      'test_roboclaw'], ''),
+                      'test_roboclaw', 'test_channels'], ''),
     'drive.last_resort': (['test_sentinel'], ''),
     'drive.sentinel': (['test_sentinel'], ''),
     'drive.amplifiers.serial_transfer.driver': (
@@ -57,7 +57,7 @@ TESTS = {
 those of a protocol."""
 
 _EXPLAINED = Path(__file__).with_name('mutants.txt')
-_IMPORTING = ('microbot_ros', 'test', 'conftest', 'bench._emulator')
+_IMPORTING = ('microbot_ros', 'test', 'conftest', 'bench')
 _HANGS_S = 30
 _QUICKLY = ['-x', '-q', '--assert=plain', '--tb=no', '-p', 'no:xdist',
             '--timeout', str(_HANGS_S), '--timeout-method', 'thread']

@@ -15,7 +15,9 @@ project = 'microbot_ros'
 author = copyright = 'microbot_ros maintainers'  # noqa: A001 - Sphinx's word
 release = version = microbot_ros.__version__
 
-extensions = ['myst_parser', 'sphinx.ext.autodoc']
+extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
+napoleon_google_docstring = False
+napoleon_use_ivar = True  # autodoc lists the fields of dataclasses itself
 myst_enable_extensions = ['colon_fence']
 exclude_patterns = ['examples', 'template']
 if tags.has('prose'):  # noqa: F821 - Sphinx's own; `-t prose` leaves out what docstrings say

@@ -434,8 +434,7 @@ class Amplifier(ABC):
             if self.reads_back:
                 self._await_zero()
                 return Zero.CONFIRMED
-        except UnreachableError as error:
-            self._lose(error)
+        except UnreachableError:
             return Zero.UNREACHABLE
         except NoAnswerError:
             pass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import select
 import termios
@@ -110,7 +111,7 @@ class Port:
                 self._serial.write(data)
                 return
             while data:
-                if not select.select([], [descriptor], [], _WRITE_TIMEOUT_S)[1]:
+                if not _ready(descriptor, select.POLLOUT, _WRITE_TIMEOUT_S):
                     raise TimeoutError(f'it takes no byte for {_WRITE_TIMEOUT_S:g} s')
                 data = data[os.write(descriptor, data):]
 
@@ -139,7 +140,7 @@ class Port:
             data = self._waiting()
             while not (data or self._woken) and (left := deadline - time.monotonic()) > 0:
                 if brief:
-                    select.select([self._serial], [], [], left)
+                    _ready(self._serial.fileno(), select.POLLIN, left)
                     data = self._waiting()
                 else:
                     data = bytes(self._serial.read(1)) + self._waiting()
@@ -192,6 +193,16 @@ class Port:
             yield
         except (OSError, TypeError, termios.error) as error:
             raise PortLostError(self.url, str(error)) from None
+
+
+def _ready(descriptor: int, event: int, timeout_s: float) -> bool:
+    """Wait at most `timeout_s` [s] for an `event` of select.poll; return whether it came.
+
+    Unlike select.select it takes descriptors of 1024 and more.
+    """
+    poller = select.poll()
+    poller.register(descriptor, event)
+    return bool(poller.poll(math.ceil(1000 * timeout_s)))
 
 
 class AbsentPort(Port):

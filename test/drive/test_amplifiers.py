@@ -22,6 +22,7 @@ from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,
     PortBusyError,
+    UnreachableError,
     WrongDeviceError,
 )
 
@@ -140,6 +141,32 @@ def test_two_drivers_on_one_port_is_an_error(amplifier, device):
         device.amplifier().connect()
     assert amplifier.close() is Zero.CONFIRMED
     device.amplifier().connect()
+
+
+@pytest.mark.parametrize('protocol', [*MEASURED, 'sabertooth'])
+@pytest.mark.parametrize('sent', range(12))
+def test_a_line_that_takes_nothing_while_connecting_is_named(amplifier, device, sent):
+    """Whichever message it is that no longer goes out; the first one was an AttributeError."""
+    line, taken = device.lines[0], []
+    take = line.take
+
+    def counted(data):
+        taken.append(data)
+        take(data)
+        line.takes = len(taken) < sent
+
+    line.take, line.takes = counted, sent > 0
+    lost = None
+    try:
+        amplifier.connect()
+    except UnreachableError as error:
+        lost = error
+    if lost is None:
+        assert len(taken) <= sent  # it needed no more
+        return
+    assert device.urls[0] in lost.url
+    assert len(taken) == sent
+    assert not amplifier._lines
 
 
 @every_protocol
@@ -416,6 +443,13 @@ def test_the_words_that_zero_the_lines_zero_all_coils(amplifier, device):
     device.clock.sleep(0.02)
     assert device.flows(ZERO)
     assert device.causes[-1] == 'command'
+
+
+@pytest.mark.parametrize(('ports', 'watchable'), [
+    ('/dev/a,/dev/b,/dev/c,/dev/d', True), ('/dev/a,/dev/b,rfc2217://h:1,/dev/d', False),
+    ('rfc2217://h:1,rfc2217://h:2,rfc2217://h:3,rfc2217://h:4', False)])
+def test_a_sentinel_can_hold_the_lines_only_if_each_has_a_descriptor(ports, watchable):
+    assert amplifier_class('scpi')(ports, FULL_SCALE_A, 4).watchable is watchable
 
 
 @every_protocol

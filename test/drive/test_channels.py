@@ -45,6 +45,26 @@ def test_each_coil_is_driven_and_measured_whatever_their_number(device):
     assert device.flowed[-1] == (0.0,) * channels
 
 
+@pytest.mark.parametrize('protocol', ['roboclaw', 'roboteq'])
+def test_a_spare_channel_is_told_zero(protocol):
+    """A coil may hang on it that no command reaches."""
+    device, told = VirtualAmplifier(protocol, channels=3), []
+    command = device.coils.command
+
+    def remember(wanted_A, *feeds):
+        told.append(dict(wanted_A))
+        command(wanted_A, *feeds)
+
+    device.coils.command = remember
+    amplifier = device.amplifier()
+    amplifier.connect()
+    amplifier.write(pattern(3))
+    shown = (reading.currents_A for _ in range(100) for reading in amplifier.poll(0.01))
+    assert any(measured == pytest.approx(pattern(3), abs=0.06) for measured in shown)
+    assert {wanted[3] for wanted in told if 3 in wanted} == {0.0}
+    assert amplifier.close() is Zero.CONFIRMED
+
+
 def test_a_driver_checks_drives_and_zeroes_all_of_its_coils(device):
     channels = device.coils.channels
     names = [f'coil_{k}' for k in range(channels)]

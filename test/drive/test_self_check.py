@@ -172,6 +172,28 @@ def test_a_coil_may_take_its_time_but_not_more():
     assert 'coil_plus_y has a gain' in slow.complaint or 'is open' in slow.complaint
 
 
+def test_a_pulse_that_is_repeated_has_its_whole_time_again():
+    check, half = SelfCheck(LIMITS), (PULSE_A / 2, 0.0, 0.0, 0.0)
+    check.measured(ZERO, 0.0)
+    assert any(check.wanted)
+    check.repeat(0.4)
+    check.measured(half, 0.4 + 0.9 * LIMITS.settling_s)
+    assert not check.complaint
+    check.measured(half, 0.4 + LIMITS.settling_s)
+    assert check.complaint
+
+
+def test_repeating_while_the_device_is_to_end_the_pulse_gives_it_no_more_time():
+    check, now_s = SelfCheck(LIMITS, tries_watchdog=True), 0.0
+    while not check.silent:
+        now_s += RATE_S
+        check.measured(check.wanted, now_s)
+    pulsed_s = now_s - RATE_S
+    check.repeat(now_s + 0.1)
+    check.measured(ZERO, now_s + 0.2)
+    assert check.watchdog_s == pytest.approx(now_s + 0.2 - pulsed_s)
+
+
 def test_a_current_that_stays_holds_the_next_pulse():
     pulsed = []
 

@@ -96,11 +96,14 @@ def polar(velocity_phasor: np.ndarray, std: np.ndarray) -> Polar:
     """Return speed |c| and phase arg c of a velocity phasor c.
 
     These are moments of the Rice likelihood under a flat prior on speed ≥ 0: |c| alone is biased
-    by std²/2v. Where c is far below its uncertainty, the speed is that of a half-normal
+    upwards by std²/2v. Where c is far below its uncertainty, the speed is that of a half-normal
     distribution, and the standard deviation of the phase tends to π/√3, that of a uniform angle;
-    nothing diverges. With y = |c|²/2 std²: E v = std √(2/π) / (e^{−y/2} I₀(y/2)), E v² = std² (1 +
-    y + y I₁(y/2)/I₀(y/2)); the mean resultant length of the phase is √(πy)/2 · e^{−y/2} (I₀(y/2) +
-    I₁(y/2)).
+    nothing diverges. With y = |c|²/2 std²:
+
+        E v = std √(2/π) / (e^{−y/2} I₀(y/2)),
+        E v² = std² (1 + y + y I₁(y/2)/I₀(y/2)),
+
+    and the mean resultant length of the phase is √(πy)/2 · e^{−y/2} (I₀(y/2) + I₁(y/2)).
 
     Parameters
     ----------

@@ -6,6 +6,7 @@ neither currents nor acknowledgements: their state cannot be checked.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import cycle
 
@@ -61,7 +62,7 @@ class SabertoothAmplifier(Amplifier):
         self._free_s: float  # when the line has taken all
 
     def _open(self) -> None:
-        self._order, self._flowing = None, False
+        self._order, self._flowing, self._free_s = None, False, -math.inf
         self._lines.append(self._open_port(self.url, _BAUD))
         self._say(codec.BAUDING + self._zeros()[0] + b''.join(
             codec.set_timeout(address, self.timeout_s) for address in self._addresses))
