@@ -1,4 +1,4 @@
-"""Identity of the USB adapter behind a serial port, so that no other one is ever driven."""
+"""Identity of the USB adapter behind a serial port, so that no other adapter is ever driven."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from serial.tools.list_ports import comports
 
 BY_ID = '/dev/serial/by-id/'
-"""Where udev keeps names of serial ports that contain the serial number of their adapter."""
+"""Directory where udev puts names of serial ports that contain the adapter's serial number (udev's
+`60-serial.rules`)."""
 _REPLACED = re.compile(r'[^\w#+\-.:=@]')
-"""What udev replaces by an underscore in a name."""
+"""Characters that udev replaces by an underscore in a name (udev's list of allowed characters)."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +31,33 @@ class Adapter:
     def may_be_named(self, url: str) -> bool:
         """Return whether udev can have given this adapter the name `url`.
 
-        True for every name outside `/dev/serial/by-id/`, which says nothing of the adapter.
+        Parameters
+        ----------
+        url : str
+            Name of a port.
+
+        Returns
+        -------
+        bool
+            True for every name outside `/dev/serial/by-id/`, which contains no information on the
+            adapter.
         """
         return not url.startswith(BY_ID) or _REPLACED.sub('_', self.serial_number) in url
 
 
 def adapter_at(url: str) -> Adapter | None:
-    """Return the USB adapter behind a port `url`, as pyserial's `list_ports` reports it.
+    """Return the USB adapter behind a port, as pyserial's `list_ports` reports it.
 
-    None for what has no such identity: a pseudo-terminal, a port on the board, a port over a
-    network, a device that is not there.
+    Parameters
+    ----------
+    url : str
+        Device name or pyserial URL.
+
+    Returns
+    -------
+    Adapter or None
+        None for a port without USB identity: a pseudo-terminal, a port on the board, a port over a
+        network, or a device that does not exist.
     """
     if '://' in url:
         return None

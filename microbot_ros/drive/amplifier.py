@@ -1,7 +1,7 @@
-"""What every amplifier driver is: currents out, measured currents back, one for each coil.
+"""Base of all amplifier drivers: it sends currents and receives measured ones, one per coil.
 
-Four coils in the plane are in the order +Y, +X, −Y, −X. A driver moves
-current in `write` and `zero` only; it keeps no limits but its full scale: those are the gate's.
+Four coils in the plane are in the order +Y, +X, −Y, −X. A driver changes currents in `write` and
+`zero` only. It enforces no limit but its full scale; all other limits belong to the gate.
 """
 
 from __future__ import annotations
@@ -35,18 +35,22 @@ COILS = ('coil_plus_y', 'coil_plus_x', 'coil_minus_y', 'coil_minus_x')
 """Names of four coils in the plane, in the order of every array of currents."""
 
 READ_BACK_S = 0.5
-"""How long a driver waits for the read-back that proves a zero."""
+"""Time [s] that a driver waits for the reading that confirms a zero. Choice: ten readings of the
+slowest protocol (50 ms); half would report a slow line as unconfirmed, twice delays every stop."""
 
 AGAIN_S = 0.01
-"""How soon a zero is sent again that no reading has shown: the line may have damaged it. A line
-that damages every other packet then lets one through within 0.1 s in all but one of 1000 cases."""
+"""Interval [s] at which a zero that no reading has shown is sent again, as the line may have
+damaged it. A line that damages every other packet then lets one through within 0.1 s in all but
+one of 1000 cases."""
 
 _AGREEMENT = 0.02
-"""How near a reading must be to a command to acknowledge it, as a part of full scale."""
+"""Largest deviation of a reading from the command that it acknowledges, as a part of full scale.
+Choice: half would leave commands unacknowledged on a noisy sense line, twice would confuse
+commands that differ little."""
 
 
 class Watchdog(StrEnum):
-    """What zeroes the coils when this computer dies."""
+    """Mechanism that zeroes the coils when this computer fails."""
 
     ARMED = 'set in the device and read back'
     FIRMWARE = 'in the firmware, if it has one: arming tests it'
@@ -55,7 +59,7 @@ class Watchdog(StrEnum):
 
 
 class Zero(StrEnum):
-    """What is known of a zero that was asked for; each value is the words for people."""
+    """State of a requested zero; each value is the text for people."""
 
     CONFIRMED = 'zero, confirmed by a reading'
     SENT = 'zero sent, not confirmed'
@@ -63,14 +67,14 @@ class Zero(StrEnum):
 
 
 BY_HAND = 'switch the amplifier off by hand'
-"""What a person is to do where coils are not reachable."""
+"""Instruction to people if coils cannot be reached."""
 
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """Currents of a field that turns: `steady` + `cosine` cos ωt + `sine` sin ωt.
+    """Currents of a rotating field: `steady` + `cosine` cos ωt + `sine` sin ωt.
 
-    Each (N,) [A], with ω the `rate` [rad/s] and t [s] since they were sent.
+    Each is (N,) [A], with ω the `rate` [rad/s] and t [s] the time since they were sent.
     """
 
     steady: np.ndarray
@@ -80,20 +84,29 @@ class Swing:
 
     @property
     def largest(self) -> np.ndarray:
-        """The largest magnitude of each current on the way (N,) [A]."""
+        """Largest magnitude that each current reaches (N,) [A]."""
         return np.asarray(np.abs(self.steady) + self.amplitude)
 
     @property
     def amplitude(self) -> np.ndarray:
-        """The amplitude of the part of each current that turns (N,) [A]."""
+        """Amplitude of the oscillating part of each current (N,) [A]."""
         return np.hypot(self.cosine, self.sine)
 
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """`currents_A` (N,) [A], handed to the line at `t_monotonic_s`.
+    """Currents that were handed to the line.
 
-    `tag` is the caller's, to know the command again; `swing` is how they go on by themselves.
+    Attributes
+    ----------
+    t_monotonic_s : float
+        Time [s] of the monotonic clock at which they were handed over.
+    currents_A : ndarray, shape (N,)
+        Current of each coil [A].
+    tag : object
+        Identification given by the caller.
+    swing : Swing or None
+        How a device continues the currents by itself; None if it does not.
     """
 
     t_monotonic_s: float
@@ -104,12 +117,20 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Measured `currents_A` (N,) [A], which arrived at `t_monotonic_s`.
+    """Measured currents.
 
-    `since_s` is when the last command went out that the device had for sure when they were taken:
-    every later one may, or may not yet, show in them. `acknowledges` is the oldest command that
-    these currents agree with and that no earlier reading has acknowledged; None where there is
-    none.
+    Attributes
+    ----------
+    t_monotonic_s : float
+        Time [s] of the monotonic clock at which they arrived.
+    since_s : float
+        Time [s] at which the last command was sent that the device certainly had when it measured.
+        Every later command may or may not be visible in the reading.
+    currents_A : ndarray, shape (N,)
+        Measured current of each coil [A].
+    acknowledges : Command or None
+        Oldest command that agrees with these currents and that no earlier reading acknowledged;
+        None if there is none.
     """
 
     t_monotonic_s: float
@@ -120,8 +141,19 @@ class Reading:
 
 @dataclass
 class Counters:
-    """Traffic since the driver was made: `frames_sent` and `frames_received`, answers whose check
-    failed (`crc_errors`) and `discarded_bytes` that belonged to no answer."""
+    """Traffic since the driver was created.
+
+    Attributes
+    ----------
+    frames_sent : int
+        Commands sent.
+    frames_received : int
+        Readings received.
+    crc_errors : int
+        Answers whose checksum was wrong.
+    discarded_bytes : int
+        Bytes that belonged to no answer.
+    """
 
     frames_sent: int = 0
     frames_received: int = 0
@@ -130,43 +162,61 @@ class Counters:
 
 
 class Amplifier(ABC):
-    """A current source of so many `channels`, one for each of N coils, behind one protocol.
+    """Current source with one channel for each of N coils, behind one protocol.
 
-    `url` names its port (for a protocol with several: all, separated by commas) and
-    `full_scale_A` the current of each coil at full output (a scalar means all alike).
-    One thread calls it, but for `wake`, which any may. InputError for more channels than
-    `most_channels`.
+    All methods are called by one thread, except `wake`, which any thread may call.
 
-    A driver is bound to the USB adapters of its first connection: at a port where another one is
-    found later, or whose name under `/dev/serial/by-id/` is not the adapter's, nothing is sent. A
-    port without such an identity, as on a board or over a network, has nothing to compare.
+    A driver is bound to the USB adapters of its first connection. If another adapter is found at a
+    port later, or if a name under `/dev/serial/by-id/` is not that of the adapter, nothing is
+    sent. A port without USB identity, on the board or over a network, is not compared.
+
+    Parameters
+    ----------
+    url : str
+        Name of the port; for a protocol with several ports all names, separated by commas.
+    full_scale_A : float or sequence of float
+        Current of each coil at full output [A]; a scalar applies to all coils.
+    channels : int
+        Number of coils N.
+
+    Raises
+    ------
+    InputError
+        If there are more channels than `most_channels`, or if a full scale is not finite and above
+        0.
     """
 
     watchdog: ClassVar[Watchdog] = Watchdog.NONE
     reads_back: ClassVar[bool] = True
-    """Whether it measures currents; else `poll` has no readings, and nothing confirms a zero."""
+    """Whether it measures currents. Otherwise `poll` returns no readings and nothing confirms a
+    zero."""
     most_channels: ClassVar[int] = 16
+    """Largest number of coils. Choice: more than any published rig has; drivers lower it to the
+    limit of their protocol."""
     sample_s = 0.0008
-    """How often it is given currents that turn: a little more than a thousand a second, fewer
-    where its line would keep a queue."""
+    """Interval [s] between samples of rotating currents. Choice: a little more than a thousand a
+    second, as often as the reference firmware steps; longer where the line would build up a
+    queue."""
     can_swing: ClassVar[bool] = False
-    """Whether there are devices that turn currents by themselves, as a `Swing` says."""
+    """Whether some devices of this protocol rotate currents by themselves as a `Swing`
+    describes."""
     swings = False
-    """Whether this one does, from command to command."""
+    """Whether the connected device does so between commands."""
     clock = Clock()
-    """Where this driver, and the `CoilDriver` around it, take time from."""
+    """Clock of this driver and of the `CoilDriver` around it."""
     open_port: Callable[..., Port] = Port
-    """What opens a port; a test gives another."""
+    """Function that opens a port; tests replace it."""
     adapter_at: Callable[[str], Adapter | None] = staticmethod(adapter_at)
-    """What finds the USB adapter behind a port; a test gives another."""
+    """Function that finds the USB adapter behind a port; tests replace it."""
     read_back_s = READ_BACK_S
-    """How long this one waits for the read-back."""
+    """Time [s] that this driver waits for the read-back; see `READ_BACK_S`."""
     unreachable: tuple[str, ...] = ()
-    """The ports that could not be reached since `connect` was called."""
+    """Ports that could not be reached since `connect` was called."""
     report_age_s = 0.0
-    """How long before `Reading.since_s` [s] the currents may have been measured at most."""
+    """Longest time [s] before `Reading.since_s` at which the currents may have been measured; 0
+    for devices that measure on request."""
     resolution_A = 0.0
-    """The step in which the device reports currents."""
+    """Step [A] in which the device reports currents; 0 where the step is negligible."""
 
     def __init__(self, url: str, full_scale_A: float | Sequence[float],
                  channels: int = len(COILS)) -> None:
@@ -200,11 +250,15 @@ class Amplifier(ABC):
         return all(has_descriptor(url) for url in self.urls)
 
     def connect(self) -> None:
-        """Open, identify, arm the device's watchdog where it has one, zero and read back.
+        """Open the ports, identify the device, arm its watchdog if any, zero it and read back.
 
-        Where the driver was connected before, a zero goes ahead of everything else. Raises an
-        AmplifierError where any of it fails; whatever could be reached is at zero and switched
-        off then, and every port given back.
+        If the driver was connected before, a zero is sent before everything else.
+
+        Raises
+        ------
+        AmplifierError
+            If any step fails. All devices that could be reached are then at zero and switched off,
+            and every port is released.
         """
         if self._lines:
             self.close()
@@ -228,11 +282,30 @@ class Amplifier(ABC):
 
     def write(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None,
               swing: Swing | None = None) -> Command:
-        """Send `currents_A` (N,) [A], with a `tag`, in place of any that a slow line has yet to
-        take; with a `swing` a device that `swings` goes on from there by itself.
+        """Send currents, in place of any that a slow line has not transmitted yet.
 
-        Zero goes out at once, ahead of all else. Raises ValueError, with nothing sent, for any
-        that is not within the full scale (NaN is not), and AmplifierError where the line is lost.
+        Zero is sent at once, before everything else.
+
+        Parameters
+        ----------
+        currents_A : sequence of float or ndarray, shape (N,)
+            Current of each coil [A].
+        tag : object
+            Identification of the command, returned with it unchanged.
+        swing : Swing or None
+            Given to a device that `swings`: it continues from these currents by itself.
+
+        Returns
+        -------
+        Command
+            The command that was sent.
+
+        Raises
+        ------
+        ValueError
+            If a current is not within the full scale (NaN is not). Nothing is sent.
+        AmplifierError
+            If the line is lost.
         """
         currents = np.array(currents_A, dtype=float)
         shape = self.full_scale_A.shape
@@ -250,15 +323,35 @@ class Amplifier(ABC):
         return command
 
     def zero(self) -> Command:
-        """Send zeros."""
+        """Send zeros.
+
+        Returns
+        -------
+        Command
+            The command that was sent.
+        """
         return self.write(np.zeros(self.channels))
 
     def poll(self, timeout_s: float = 0.0) -> list[Reading]:
-        """The readings that arrived; waits at most `timeout_s` for the first. Moves no current
-        but by what was written and has yet to go out on a slow line.
+        """Return the readings that arrived; wait for the first if there is none.
 
-        Raises AmplifierError where a line is lost or a device silent, once a zero has been sent
-        to all others.
+        It changes no current, except that commands written before may still have to go out on a
+        slow line.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        list of Reading
+            Readings in the order of arrival; empty if none arrived.
+
+        Raises
+        ------
+        AmplifierError
+            If a line is lost or a device is silent, after a zero was sent to all others.
         """
         with self._noting():
             readings = [self._reading(*measured) for measured in self._receive(timeout_s)]
@@ -277,15 +370,30 @@ class Amplifier(ABC):
         self._send(last)
 
     def shows_zero(self, currents_A: np.ndarray) -> bool:
-        """Return whether measured `currents_A` (N,) [A] agree with zero; NaN does not."""
+        """Return whether measured currents agree with zero.
+
+        Parameters
+        ----------
+        currents_A : ndarray, shape (N,)
+            Current of each coil [A].
+
+        Returns
+        -------
+        bool
+            False also if a current is NaN.
+        """
         return bool(np.all(np.abs(currents_A) <= self._tolerance_A))
 
     def close(self) -> Zero:
-        """Zero, read back, disable and release every port; return the worst that holds of a coil.
+        """Zero, read back, disable and release every port.
 
-        Never raises an AmplifierError: each line is zeroed whatever becomes of the others, and
-        those that cannot be reached are named in `unreachable`. Without a connection the result
-        is UNREACHABLE.
+        It never raises an AmplifierError: each line is zeroed whatever happens to the others, and
+        lines that cannot be reached are listed in `unreachable`.
+
+        Returns
+        -------
+        Zero
+            The worst state of any coil; UNREACHABLE without a connection.
         """
         if not self._lines:
             self.unreachable = self.unreachable or self.urls
@@ -296,20 +404,31 @@ class Amplifier(ABC):
             self._release()
 
     def wake(self) -> None:
-        """Let a `poll` that waits return at once; from any thread, whatever state it is in."""
+        """Make a waiting `poll` return at once; callable from any thread in any state."""
         self._woken.set()
         for port in self._lines.copy():
             port.wake()
 
     def last_words(self) -> list[tuple[int, bytes]]:
-        """What zeroes the coils when this process no longer can: for each line its descriptor and
-        the bytes. Without those whose port has no descriptor: see `watchable`."""
+        """Return the bytes that zero the coils when this process no longer can.
+
+        Returns
+        -------
+        list of tuple[int, bytes]
+            Descriptor and bytes of each line, without lines whose port has no descriptor; see
+            `watchable`.
+
+        Raises
+        ------
+        NoAnswerError
+            Without a connection.
+        """
         self._require_lines()
         return [(port.descriptor, zero) for port, zero
                 in zip(self._lines, self._zeros(), strict=True) if port.descriptor is not None]
 
     def _end(self) -> Zero:
-        """Zero, read back and disable; return the worst that holds of a coil."""
+        """Zero, read back and disable; return the worst state of any coil."""
         try:
             self.zero()
             if self.reads_back:
@@ -322,7 +441,7 @@ class Amplifier(ABC):
         return Zero.SENT
 
     def _abort(self, error: BaseException) -> None:
-        """Zero and disable what was reached by a connection that failed, but no other device."""
+        """Zero and disable the devices that a failed connection reached, but no wrong device."""
         if not isinstance(error, WrongDeviceError):
             with suppress(AmplifierError):
                 self.zero()
@@ -364,7 +483,7 @@ class Amplifier(ABC):
             raise NoAnswerError(self.url, 'a connection')
 
     def _release(self) -> None:
-        """Close whatever `_open` opened; harmless when it is closed already."""
+        """Close all ports that `_open` opened; does nothing if they are closed."""
         while self._lines:
             self._lines.pop().close()
 
@@ -378,8 +497,10 @@ class Amplifier(ABC):
 
     @abstractmethod
     def _open(self) -> None:
-        """Append the open ports to `_lines`, send a zero to a device that is known, make sure that
-        the right one answers, and enable its outputs at zero."""
+        """Append the open ports to `_lines`, identify the device and enable its outputs at zero.
+
+        A device that was connected before is sent a zero first.
+        """
 
     @abstractmethod
     def _send(self, command: Command) -> None:
@@ -387,20 +508,31 @@ class Amplifier(ABC):
 
     @abstractmethod
     def _receive(self, timeout_s: float) -> list[tuple[float, float, np.ndarray]]:
-        """When they arrived, since when the device had what it had (`Reading.since_s`), and the
-        measured currents, all finite."""
+        """Return time of arrival, `Reading.since_s` and finite currents of each reading."""
 
     @abstractmethod
     def _zeros(self) -> list[bytes]:
-        """Return for each line what zeroes its coils in one go, whatever was said before."""
+        """Return for each line the bytes that zero its coils at once, whatever was sent before."""
 
 
 @functools.cache
 def amplifier_class(protocol: str) -> type[Amplifier]:
-    """The driver registered for `protocol` in the entry-point group `microbot_ros.amplifiers`.
+    """Return the driver registered in the entry-point group `microbot_ros.amplifiers`.
 
-    Raises InputError for a name that is not registered or whose driver does not load: there is
-    no falling back to another.
+    Parameters
+    ----------
+    protocol : str
+        Name of the protocol.
+
+    Returns
+    -------
+    type[Amplifier]
+        Class of the driver.
+
+    Raises
+    ------
+    InputError
+        If the name is not registered or its driver does not load; there is no fallback.
     """
     driver: type[Amplifier] = installed('microbot_ros.amplifiers', 'amplifier', protocol)
     return driver

@@ -1,4 +1,4 @@
-"""Gate and amplifier at work: commands in, readings out, and a dead-man that needs no caller."""
+"""Gate and amplifier in operation: commands, readings, and a dead-man that needs no caller."""
 
 from __future__ import annotations
 
@@ -34,22 +34,29 @@ from microbot_ros.drive.rotation import Rotation, Turning
 from microbot_ros.drive.self_check import SelfCheck
 
 _TICK_S = 0.005
-"""How late the dead-man can be, beside the gate's own times."""
+"""Longest delay [s] of the dead-man, in addition to the gate's own times. Choice: a tenth of the
+shortest common watchdog would be 10 ms; half of that costs 200 wake-ups a second."""
 _REFRESH_S = 0.04
-"""The present output goes out again this often: a device's watchdog is fed while commands hold,
-and a zero that the line damaged is not the last word."""
+"""Interval [s] at which the present output is sent again: it feeds a device's watchdog while
+commands hold, and a zero that the line damaged is repeated. Choice: twice within a watchdog of 0.1
+s."""
 _LAPSE_S = 0.06
-"""After a longer pause between two writes the watchdog of the device may have zeroed the coils.
+"""Pause [s] between two writes after which the watchdog of the device may have zeroed the coils.
 Choice: a thread on time writes every 0.045 s at least, and known watchdogs wait 0.1 s."""
 _RECONNECT_S = 0.1
-"""Pause between attempts to reconnect: a line that is back is at zero within 0.2 s."""
+"""Pause [s] between attempts to reconnect. Choice: a line that returns is at zero within 0.2 s."""
 _TOLD_S = 0.01
-"""While currents turn, readings are told at most this often: there are a thousand a second."""
+"""Shortest interval [s] between published readings while currents rotate. Choice: 100 of the
+thousand readings a second."""
 _LOOK_S = 0.002
+"""Interval [s] at which `await_zero` checks. Choice: a tenth of the interval of most readings."""
 _ARMING_S = 10.0
+"""Longest time [s] of arming. Choice: 16 coils of 0.1 s settling take 3.2 s, with room for slow
+lines."""
 _DISARMING_S = 0.2
+"""Longest time [s] that `disarm` waits for the line. Choice: two attempts on the slowest line."""
 STOPPED = 'the rig was stopped after this was asked; ask again'
-"""Why arming is refused that was asked before a stop, a trip or a signal."""
+"""Why arming is refused that was requested before a stop, a trip or a signal."""
 WITHOUT_WATCHDOG = ('if this computer loses its power while coils are driven, the last currents '
                     'flow until the amplifier is switched off by hand')
 UNWATCHABLE = ('the sentinel cannot open a port of this kind: if this program is killed, the last '
@@ -68,28 +75,50 @@ class _Order:
 
 
 class CoilDriver:
-    """Drives one amplifier through one gate, both in the hands of one thread.
+    """Driver of one amplifier through one gate, both used by one thread only.
 
-    The thread lives from `start` to `stop` and alone judges and writes: whatever others want is
-    left in a mailbox, in which the newest command takes the place of one that waits. It does all
-    that must happen without being asked: stale commands, silence and deviation end in zero,
-    whatever hangs elsewhere in the process; a lost line is latched as a fault and reopened with
-    zero, still disarmed. `on_sent` is called in it with each command that went out, its tag with
-    it, `on_reading` with each reading; they must not block, and if they raise, the coils go to
-    zero and the thread goes on. Where the system allows it, the thread runs in real time.
+    The thread lives from `start` to `stop` and alone judges and writes. Other threads leave
+    commands in a mailbox, in which the newest replaces a waiting one. The thread does everything
+    that must happen without a request: stale commands, silence and deviation end in zero, whatever
+    hangs elsewhere in the process; a lost line is latched as a fault and reopened with zero, still
+    disarmed. If the system allows it, the thread runs with real-time priority.
 
-    With `self_check`, arming sends a pulse through each coil first, which it calls by its name in
-    `names` (N,), and tries out the watchdog of a device whose firmware may have one. A device
-    without one needs `accept_no_watchdog`, and is watched by a process of ours, which zeroes it
-    when this one dies or hangs. One that reads no currents back needs `accept_no_feedback` and
-    has no self-check; as it cannot say whether its watchdog is armed, it is watched likewise.
-    `heat` (N,) is that of the coils at the start (`HeatRecord`); None for cold coils.
-    Raises InputError where that is missing, for a current limit that is more than the amplifier
-    can give, and for limits that leave no room for the pulse.
+    After arming only zero passes until a zero was commanded that was given after arming was
+    requested: a goal or a joystick from before moves nothing. Every stop and every fault begins a
+    new `epoch`; arming that was requested in an older one is refused.
 
-    After arming nothing but zero flows until a zero was commanded that was given after arming was
-    asked: a goal or a stick from before moves nothing. Every stop and every fault begins a new
-    `epoch`; arming that was asked in an older one is refused.
+    A device without watchdog is watched by a sentinel process, which zeroes it when this process
+    dies or hangs. So is a device that reads no currents back, as it cannot confirm that its
+    watchdog is armed.
+
+    Parameters
+    ----------
+    amplifier : Amplifier
+        Driver of the device.
+    limits : Limits
+        Limits of the gate.
+    on_reading : callable
+        Called in the thread with each reading. It must not block; if it raises, the coils go to
+        zero and the thread continues.
+    names : sequence of str, shape (N,)
+        Names of the coils.
+    on_sent : callable
+        Called in the thread with each command that was sent and had a tag, under the same rules.
+    self_check : bool
+        Whether arming first sends a pulse through each coil, and tries the watchdog of a device
+        whose firmware may have one.
+    accept_no_watchdog : bool
+        Whether a device without watchdog is accepted.
+    accept_no_feedback : bool
+        Whether a device that reads no currents back is accepted; it has no self-check.
+    heat : sequence of float, shape (N,), or None
+        Heat of the coils at the start (`HeatRecord`); None for cold coils.
+
+    Raises
+    ------
+    InputError
+        If a required acceptance is missing, if the current limit exceeds the full scale, or if the
+        limits leave no room for the pulse.
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,
@@ -107,11 +136,12 @@ class CoilDriver:
         self._names = names
         self.connected = False
         self.real_time = False
-        """Whether the thread comes before all that is not real-time."""
+        """Whether the thread has priority over everything that is not real-time."""
         self.gains: list[float] | None = None
-        """Measured over commanded current of each coil in the last self-check that passed."""
+        """Measured over commanded current of each coil (N,) in the last self-check that passed."""
         self.watchdog_s: float | None = None
-        """How long the device took to zero itself in the last arming that tried it."""
+        """Time [s] that the device took to zero itself in the last arming that tried its
+        watchdog."""
         self._unwatched = amplifier.watchdog is Watchdog.UNCONFIRMED or (
             accept_no_watchdog and amplifier.watchdog is not Watchdog.ARMED)
         self._checks = self_check
@@ -164,7 +194,7 @@ class CoilDriver:
 
     @property
     def warning(self) -> str:
-        """What whoever arms is to know; '' where there is nothing."""
+        """Warning for the operator who arms; '' if there is none."""
         if not self.amplifier.reads_back:
             warnings = [f'the amplifier measures no currents: {WITHOUT_FEEDBACK}']
         elif self._unwatched:
@@ -176,14 +206,26 @@ class CoilDriver:
     # For other threads ----------------------------------------------------------------------
 
     def start(self) -> None:
-        """Connect, with zero current; raises AmplifierError where that fails."""
+        """Connect, with zero current, and start the thread.
+
+        Raises
+        ------
+        AmplifierError
+            If connecting fails.
+        """
         self._connect()
         self._ending.clear()
         self._thread = threading.Thread(target=self._run, name='coil driver', daemon=True)
         self._thread.start()
 
     def stop(self) -> Zero:
-        """Zero, read back and release the port; return what is known of the zero."""
+        """Zero, read back and release the port.
+
+        Returns
+        -------
+        Zero
+            State of the zero.
+        """
         self._ending.set()
         self.amplifier.wake()
         if self._thread is not None:
@@ -193,24 +235,24 @@ class CoilDriver:
 
     @property
     def arming(self) -> bool:
-        """Whether the self-check goes on: no command flows yet."""
+        """Whether the self-check is in progress: no command passes yet."""
         return self._arming is not None
 
     @property
     def epoch(self) -> int:
-        """The number of stops and faults so far; see `request_arming`."""
+        """Number of stops and faults so far; see `request_arming`."""
         return self._epoch
 
     @property
     def epoch_wall_s(self) -> float:
-        """When the present epoch began, by the wall clock [s since 1970]."""
+        """Start of the present epoch by the wall clock [s since 1970]."""
         return self._epoch_wall_s
 
     @property
     def zero(self) -> Zero | None:
-        """What is known of the zero that is commanded; None while another current is.
+        """State of the commanded zero; None while another current is commanded.
 
-        CONFIRMED for as long as readings that were taken after the zero go on to show none.
+        CONFIRMED as long as readings taken after the zero continue to show none.
         """
         if not self.connected:
             return self._left
@@ -223,16 +265,25 @@ class CoilDriver:
 
     @property
     def zero_overdue(self) -> bool:
-        """Whether a zero that a reading could confirm has not been for longer than it takes."""
+        """Whether a zero that a reading could confirm is unconfirmed after `READ_BACK_S`."""
         since_s = self._zero_since_s
         return (self.zero is Zero.SENT and self.amplifier.reads_back and since_s is not None
                 and self._clock.now() - since_s > READ_BACK_S)
 
     def await_zero(self, sent: threading.Event, seconds: float = READ_BACK_S) -> Zero | None:
-        """Wait until a zero is confirmed, or cannot be, `seconds` [s] at most; return `zero`.
+        """Wait until a zero is confirmed, or cannot be confirmed.
 
-        `sent` is of `request_zero`: what was known before says nothing of this zero. Where the
-        driver's thread has not sent it by then, the coils are not reachable.
+        Parameters
+        ----------
+        sent : threading.Event
+            Event that `request_zero` returned; readings from before say nothing about this zero.
+        seconds : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        Zero or None
+            The state `zero`; UNREACHABLE if the driver's thread has not sent it in time.
         """
         deadline_s = self._clock.now() + seconds
         if not self._clock.wait(sent, seconds):
@@ -243,20 +294,37 @@ class CoilDriver:
         return self.zero
 
     def request_arming(self, epoch: int) -> Future[str | None]:
-        """Begin to arm; the future's result is None when armed, else why that is not safe.
+        """Begin to arm.
 
-        `epoch` is that of the moment in which arming was asked: it is refused where a stop or a
-        fault came since.
+        Parameters
+        ----------
+        epoch : int
+            Epoch in which arming was requested; it is refused if a stop or a fault came since.
+
+        Returns
+        -------
+        Future[str or None]
+            Its result is None when armed, else why arming is not safe.
         """
         answer: Future[str | None] = Future()
         self._request(lambda: self._begin_arming(answer, epoch))
         return answer
 
     def arm(self, epoch: int | None = None) -> str | None:
-        """Let currents flow from now on; or, where that is not safe, say why not.
+        """Arm and wait for the result.
 
-        `epoch` as in `request_arming`; None for the present one. Returns after the checks, some
-        20 ms a coil and 0.1 s for the watchdog; until then commands go nowhere.
+        It returns after the checks, about 20 ms per coil and 0.1 s for the watchdog; until then no
+        command passes.
+
+        Parameters
+        ----------
+        epoch : int or None
+            As in `request_arming`; None for the present one.
+
+        Returns
+        -------
+        str or None
+            Why arming is not safe; None when armed.
         """
         if not self.connected:
             return 'the amplifier is not connected'
@@ -268,9 +336,17 @@ class CoilDriver:
             return f'the coil driver did not answer within {_ARMING_S:g} s'
 
     def request_zero(self, fault: tuple[Reason, str] | None = None) -> threading.Event:
-        """Zero and disarm, and latch a `fault` if one is given; return without waiting.
+        """Zero and disarm, without waiting.
 
-        The event is set when the zero was handed to the line, or could not be.
+        Parameters
+        ----------
+        fault : tuple[Reason, str] or None
+            Fault to latch; None for none.
+
+        Returns
+        -------
+        threading.Event
+            Event that is set when the zero was handed to the line, or could not be.
         """
         self._begin_epoch()
         done = threading.Event()
@@ -288,22 +364,41 @@ class CoilDriver:
         return done
 
     def disarm(self, fault: tuple[Reason, str] | None = None) -> None:
-        """Zero and disarm as `request_zero` does; wait for the line to take it, at most 0.2 s."""
+        """Zero and disarm as `request_zero` does; wait until the line accepts it, at most 0.2 s.
+
+        Parameters
+        ----------
+        fault : tuple[Reason, str] or None
+            Fault to latch; None for none.
+        """
         done = self.request_zero(fault)
         if self._thread is not None:
             done.wait(_DISARMING_S)
 
     def attend(self) -> None:
-        """Pass on the heartbeat of an operator (`Gate.attend`)."""
+        """Register the heartbeat of an operator (`Gate.attend`)."""
         self._request(lambda: self.gate.attend(self._clock.now()))
 
     def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None, *,
                 neutral: bool = False) -> bool:
-        """Leave `currents_A` (N,) [A] for the gate, in place of any that wait there.
+        """Leave currents for the gate, in place of any that wait there.
 
-        Return whether they may flow, as far as can be said now; `on_sent` tells what went out.
-        Zeros end the wait after arming; so do currents that only cancel the field of the room,
-        which the caller calls `neutral`.
+        `on_sent` reports the currents that were sent. Zeros end the wait after arming, and so do
+        neutral currents.
+
+        Parameters
+        ----------
+        currents_A : sequence of float or ndarray, shape (N,)
+            Current of each coil [A].
+        tag : object
+            Identification of the command, returned with it unchanged.
+        neutral : bool
+            Whether the currents only cancel the field of the room.
+
+        Returns
+        -------
+        bool
+            Whether they may flow, as far as is known now.
         """
         now = self._clock.now()
         if neutral or not np.any(currents_A):
@@ -311,11 +406,22 @@ class CoilDriver:
         return self._leave(_Order(tuple(currents_A), now, tag))
 
     def turn(self, turning: Turning, tag: Any = None) -> bool:
-        """Leave currents that turn for the gate, as `command` does: every sample of `turning` goes
-        through it, as often as the amplifier takes one.
+        """Leave rotating currents for the gate; every sample of them passes through it.
 
-        Like any command they hold for the gate's `command_timeout_s`, with a `tag` that the first
-        sample carries.
+        They are sampled as often as the amplifier accepts a sample. Like any command they hold for
+        the gate's `command_timeout_s`; the first sample carries the tag.
+
+        Parameters
+        ----------
+        turning : Turning
+            The rotation.
+        tag : object
+            Identification of the command, returned with it unchanged.
+
+        Returns
+        -------
+        bool
+            As `command`.
         """
         return self._leave(_Order(turning, self._clock.now(), tag))
 
@@ -345,7 +451,7 @@ class CoilDriver:
             self._finish()
 
     def _turn(self) -> None:
-        """One round of the thread: judge, write and tell, or try to reconnect."""
+        """Run one cycle of the thread: judge, write and report, or try to reconnect."""
         try:
             self._serve() if self.connected else self._reconnect()
         except AmplifierError as error:
@@ -363,7 +469,7 @@ class CoilDriver:
         self._disconnect()
 
     def _serve(self) -> None:
-        """Wait for readings, mail or one tick, then let the gate judge what there is."""
+        """Wait for readings, mail or one tick, then let the gate judge them."""
         readings = self.amplifier.poll(self._patience_s())
         self._do_requests()
         order = self._take_order()
@@ -398,7 +504,7 @@ class CoilDriver:
             self._tell(reading, now)
 
     def _let_through(self, order: _Order | None) -> _Order | None:
-        """Of what is ordered what may be obeyed: nothing from before arming was asked."""
+        """Return the order if it may be obeyed: none from before arming was requested."""
         if self.gate.holding and self._zero_given_s >= self._asked_s:
             self.gate.release()
         return None if self.gate.holding else order
@@ -409,7 +515,7 @@ class CoilDriver:
         return (changed and not alone) or tag is not None or self._refresh_due(now)
 
     def _may_swing(self) -> bool:
-        """Whether the device can turn the currents by itself from here on."""
+        """Return whether the device can rotate the currents by itself from here on."""
         return (self.amplifier.swings and self.gate.armed and self._rotation.turns
                 and self._rotation.settled)
 
@@ -419,7 +525,7 @@ class CoilDriver:
         return max(self._sent_s + self.amplifier.sample_s - self._clock.now(), 0.0)
 
     def _obey(self, order: _Order | None, now: float) -> None:
-        """What was ordered last, where that is due: currents once, of what turns a sample."""
+        """Pass the last order to the gate if due: currents once, a rotation by samples."""
         if order is not None:
             wanted = order.wanted
             if isinstance(wanted, Turning):
@@ -434,7 +540,7 @@ class CoilDriver:
             self._sample(now)
 
     def _sample(self, now: float) -> None:
-        """Judge the currents of what turns at `now`."""
+        """Judge the currents of the rotation at `now`."""
         self.gate.command(self._rotation.currents(now).tolist(), now, self._turned_s)
         if not self.gate.armed:
             self._rotation.stop()
@@ -482,7 +588,7 @@ class CoilDriver:
                 self._check.repeat(now)
 
     def _judged_swing(self) -> Swing | None:
-        """How the device is to turn the currents by itself, where the gate allows it."""
+        """Return how the device rotates the currents by itself, if the gate allows it."""
         if not self._may_swing():
             return None
         swing = self._rotation.swing()
@@ -502,8 +608,10 @@ class CoilDriver:
         self.gate.measured(currents, now, since_s)
 
     def _look_for_zero(self, reading: Reading) -> None:
-        """Note whether a reading that was taken after the zero shows it; one that does not
-        revokes those before."""
+        """Note whether a reading taken after the zero shows it.
+
+        A reading that does not show it revokes earlier ones.
+        """
         if (self._zero_since_s is not None
                 and reading.since_s - self.amplifier.report_age_s >= self._zero_since_s):
             seen = self.amplifier.shows_zero(reading.currents_A)
@@ -554,7 +662,7 @@ class CoilDriver:
     # When things go wrong -------------------------------------------------------------------
 
     def _survive(self, error: Exception) -> None:
-        """Whatever failed, a subscriber or this code: zero, and a thread that is still there."""
+        """Handle any failure, of a subscriber or of this code: zero, and continue the thread."""
         _log.exception('in the coil driver')
         self.gate.trip(Reason.INTERNAL, repr(error))
         with suppress(Exception):

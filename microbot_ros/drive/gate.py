@@ -1,8 +1,9 @@
-"""The one gate between every controller and the port.
+"""The only gate between all controllers and the port.
 
-It is pure: no port, no clock, no thread; times come in as seconds of one monotonic clock. What
-it cannot affirm is zero in every coil, the permission to drive is revoked and the reason latched.
-A value passes a limit only where `low <= value <= high` is True, which NaN never is.
+It is pure: it has no port, clock or thread, and times are arguments in seconds of one monotonic
+clock. Whenever it cannot affirm the currents, it sets every coil to zero, revokes the permission
+to drive and latches the reason. A value passes a limit only if `low <= value <= high` is True,
+which is never the case for NaN.
 """
 
 from __future__ import annotations
@@ -22,30 +23,31 @@ a browser runs a page in the background (1 s); at half of it a hidden tab would 
 
 @dataclass(frozen=True)
 class Limits:
-    """What the gate affirms, the same for each coil. All must be finite and above 0."""
+    """Limits that the gate enforces, the same for each coil. All must be finite and above 0."""
 
     current_A: float
-    """Largest magnitude of a current."""
+    """Largest magnitude of a current [A]."""
     step_A: float
-    """What a current may change at once. Every change uses up this allowance and time restores
-    it, so that over any t all changes together stay within `step_A` + t `slew_A_per_s`.
-    """
+    """Largest change of a current at once [A]. Every change consumes this allowance and time
+    restores it, so that over any time t all changes together stay within `step_A` + t
+    `slew_A_per_s`."""
     slew_A_per_s: float
-    """Fastest lasting change: a sine of amplitude I and frequency f needs 4 I f."""
+    """Fastest sustained change [A/s]: a sine of amplitude I and frequency f needs 4 I f."""
     command_timeout_s: float
-    """How long a command other than zero holds without the next."""
+    """Time [s] that a command other than zero holds without the next one."""
     deviation_A: float
-    """How far a measured current may lie outside what was commanded while it settled."""
+    """Largest distance [A] of a measured current from the currents that were commanded while it
+    settled."""
     settling_s: float
-    """How long the measured current may take to follow the command."""
+    """Time [s] that a measured current may take to follow the command."""
     feedback_timeout_s: float
-    """How long currents may flow without a measurement."""
+    """Time [s] that currents may flow without a measurement."""
     rated_current_A: float
-    """The current that a coil bears for ever: I²t settles at its square."""
+    """Current [A] that a coil bears indefinitely: I²t settles at its square."""
     thermal_s: float
-    """Thermal time constant of a coil."""
+    """Thermal time constant of a coil [s]."""
     idle_s: float
-    """How long the permission to drive lasts without any command, be it zero."""
+    """Time [s] that the permission to drive lasts without any command, zero included."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -55,7 +57,7 @@ class Limits:
 
 
 class Reason(StrEnum):
-    """Why the gate revoked its permission."""
+    """Reason why the gate revoked its permission."""
 
     MALFORMED = 'currents are not finite numbers, one per coil'
     LIMIT = 'current limit'
@@ -77,19 +79,36 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class Fault:
-    """A latched reason, and its `detail`, one sentence for a person."""
+    """A latched fault.
+
+    Attributes
+    ----------
+    reason : Reason
+        Its kind.
+    detail : str
+        One sentence for a person.
+    """
 
     reason: Reason
     detail: str
 
 
 class Gate:
-    """Affirms currents within `limits`, or answers zero and latches why. Disarmed at the start.
+    """Gate that passes currents within limits, or returns zero and latches the reason.
 
-    Currents (N,) are of so many `channels`, a coil each. Every `now_s` is a time [s] of one
-    monotonic clock. Without `feedback` no current is measured: then neither silence nor deviation
-    is a fault, and heat is that of what was commanded. `heat` (N,) is that of each coil at the
-    start, as a part of what it bears; None for cold coils.
+    It is disarmed at the start. Every `now_s` is a time [s] of one monotonic clock.
+
+    Parameters
+    ----------
+    limits : Limits
+        Limits of the gate.
+    channels : int
+        Number of coils N.
+    feedback : bool
+        Whether currents are measured. Without measurements neither silence nor deviation is a
+        fault, and the heat is computed from the commands.
+    heat : sequence of float, shape (N,), or None
+        Heat of each coil at the start, as a part of the heat it bears; None for cold coils.
     """
 
     def __init__(self, limits: Limits, channels: int = 4, *, feedback: bool = True,
@@ -100,9 +119,9 @@ class Gate:
         self.armed = False
         self.fault: Fault | None = None
         self.output: Currents = self.zero
-        """The currents that may flow now."""
+        """Currents (N,) [A] that may flow now."""
         self.heat: Currents = self.zero if heat is None else tuple(heat)
-        """I²t of each coil as a part of what it bears: above 1 is a fault."""
+        """I²t of each coil (N,) as a part of the heat it bears; above 1 is a fault."""
         self.holding = False
         """Whether it is armed and passes nothing but zero (`hold`)."""
         self._now_s = self._commanded_s = self._heard_s = self._measured_s = -math.inf
@@ -115,10 +134,20 @@ class Gate:
         self._lapsed_s = -math.inf
 
     def arm(self, now_s: float) -> str | None:
-        """Clear the fault and affirm from now on; or, where that is not safe, say why not.
+        """Clear the fault and pass currents from now on, if that is safe.
 
-        Safe is: measured just now, where there is `feedback`, no current flowing, no coil beyond
-        its heat. A gate that is armed stays as it is.
+        It is safe if no current flows in a recent measurement (with `feedback`) and no coil is
+        beyond its heat. An armed gate stays as it is.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
+
+        Returns
+        -------
+        str or None
+            Why arming is not safe; None if the gate is armed.
         """
         self.tick(now_s)
         if self.armed:
@@ -135,7 +164,10 @@ class Gate:
         return None
 
     def hold(self) -> None:
-        """Pass nothing but zero until `release`, though armed: what is wanted is from before."""
+        """Pass nothing but zero until `release`, though armed.
+
+        Commands that are pending were given before arming.
+        """
         self.holding = self.armed
 
     def release(self) -> None:
@@ -143,10 +175,15 @@ class Gate:
         self.holding = False
 
     def attend(self, now_s: float) -> None:
-        """Take the heartbeat of an operator into account.
+        """Register the heartbeat of an operator.
 
-        Where the last one before arming was at most `UNATTENDED_S` old, or one came since, the
-        permission to drive ends when they stay away for that long.
+        If the last heartbeat before arming was at most `UNATTENDED_S` old, or if one arrived
+        since, the permission to drive ends when heartbeats stay away for that long.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
         """
         self._attended_s = now_s
 
@@ -156,8 +193,19 @@ class Gate:
         self._put(self.zero)
 
     def trip(self, reason: Reason, detail: str) -> Currents:
-        """Disarm and latch a fault, its `reason` and `detail`, unless one stands; the answer is
-        zero.
+        """Disarm and latch a fault, unless one is latched already.
+
+        Parameters
+        ----------
+        reason : Reason
+            Kind of the fault.
+        detail : str
+            One sentence for a person.
+
+        Returns
+        -------
+        Currents, shape (N,)
+            Zero.
         """
         self.fault = self.fault or Fault(reason, detail)
         self.revoke()
@@ -165,9 +213,21 @@ class Gate:
 
     def command(self, currents_A: Sequence[float], now_s: float,
                 given_s: float | None = None) -> Currents:
-        """The wanted `currents_A` (N,) [A], if all is well; else zero.
+        """Judge wanted currents and return the currents that may flow now.
 
-        `given_s` is when the command was given, where it waited until now.
+        Parameters
+        ----------
+        currents_A : sequence of float, shape (N,)
+            Current of each coil [A].
+        now_s : float
+            Present time [s] of the monotonic clock.
+        given_s : float or None
+            Time [s] at which the command was given, if it waited until now; None for now.
+
+        Returns
+        -------
+        Currents, shape (N,)
+            The wanted currents [A] if they pass, else zero.
         """
         self.tick(now_s)
         if not self.armed:
@@ -192,11 +252,24 @@ class Gate:
 
     def swing(self, largest_A: Sequence[float], amplitude_A: Sequence[float],
               rate: float) -> Currents:
-        """Judge currents that a device turns by itself: the currents that may flow now.
+        """Judge currents that a device rotates by itself.
 
-        Each reaches `largest_A` (N,) [A] on its way and is a sine of `amplitude_A` (N,) [A] that
-        turns at `rate` [rad/s]. A sine changes by 2 I in half a turn, which takes π/|rate|:
-        `step_A` must allow the change at once and `slew_A_per_s` as what lasts.
+        A sine changes by 2 I in half a turn, which takes π/|rate|: `step_A` must allow the change
+        at once, and `slew_A_per_s` as a sustained change.
+
+        Parameters
+        ----------
+        largest_A : sequence of float, shape (N,)
+            Largest magnitude that each current reaches [A].
+        amplitude_A : sequence of float, shape (N,)
+            Amplitude of the sine of each current [A].
+        rate : float
+            Angular velocity [rad/s].
+
+        Returns
+        -------
+        Currents, shape (N,)
+            The currents [A] that may flow now.
         """
         if not self.armed:
             return self.zero
@@ -217,32 +290,59 @@ class Gate:
         return self.output
 
     def sent(self, now_s: float) -> None:
-        """Note that the present output was handed to the line by `now_s`: coils may have followed
-        what it replaced until then, however late the write was.
+        """Register that the present output was handed to the line by `now_s`.
+
+        Until then the coils may have followed the output that it replaced, however late the write
+        was.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
         """
         for index in range(max(len(self._replaced) - self._unsent, 0), len(self._replaced)):
             self._replaced[index] = now_s, self._replaced[index][1]
         self._unsent = 0
 
     def lapse(self, now_s: float) -> None:
-        """Note that the device may have zeroed itself before `now_s`: no command was written for
-        longer than its watchdog may wait.
+        """Register that the device may have zeroed itself before `now_s`.
+
+        This is so if no command was written for longer than its watchdog may wait.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
         """
         self._lapsed_s = now_s
 
     def measured(self, currents_A: Sequence[float], now_s: float,
                  since_s: float | None = None) -> Currents:
-        """Take measured `currents_A` (N,) [A] into account: the currents that may flow now.
+        """Judge measured currents and return the currents that may flow now.
 
-        They are judged against every output that the coils may have followed when they were
-        taken: the present one and those that were replaced after `since_s`, less what settling
-        takes. `since_s` is now, or earlier where a slow line was still busy with older outputs.
-        Currents that agree with none of these, but all together with the outputs of one moment
-        up to `feedback_timeout_s` before, are late: no fault of the coils, and no measurement of
-        the present. So are currents between these outputs and zero, until the coils have had time
-        to settle after a `lapse`. Any other trip. Once the coils have had time to settle at zero
-        they replace the fault that stands: current that nobody commands outranks the reason why
-        nobody does.
+        They are compared with every output that the coils may have followed when they were
+        measured: the present one and those replaced after `since_s`, less the settling time.
+        Currents that agree with none of these, but all together with the outputs of one moment up
+        to `feedback_timeout_s` before, are late: they are neither a fault of the coils nor a
+        measurement of the present. The same holds for currents between these outputs and zero
+        until the coils have had time to settle after a `lapse`. All other currents trip. Once the
+        coils have had time to settle at zero, they replace a latched fault: a current without a
+        command outranks the reason why nothing is commanded.
+
+        Parameters
+        ----------
+        currents_A : sequence of float, shape (N,)
+            Measured current of each coil [A].
+        now_s : float
+            Present time [s] of the monotonic clock.
+        since_s : float or None
+            Time [s] from which outputs are compared: now (None), or earlier if a slow line was
+            still transmitting older outputs.
+
+        Returns
+        -------
+        Currents, shape (N,)
+            The currents [A] that may flow now.
         """
         if not self._advance(now_s):
             return self.zero
@@ -277,23 +377,34 @@ class Gate:
                                            f'{_amperes(self.output)} commanded')
 
     def _last_seen(self, measured: Currents, before_s: float) -> float | None:
-        """The last moment until then whose outputs these currents agree with, settling or not."""
+        """Return the last moment until `before_s` with whose outputs these currents agree."""
         moments = [moment_s for moment_s, _ in self._replaced if moment_s <= before_s]
         return next((moment_s for moment_s in reversed(moments) if self._agrees(
             measured, self._outputs(moment_s - self.limits.settling_s, moment_s))), None)
 
     def _outputs(self, after_s: float, until_s: float) -> list[Currents]:
-        """The outputs that were replaced in that time."""
+        """Return the outputs that were replaced in that time."""
         return [output for replaced_s, output in self._replaced if after_s < replaced_s <= until_s]
 
     def _agrees(self, measured: Currents, outputs: list[Currents]) -> bool:
-        """Whether each current lies among these outputs, to within the deviation."""
+        """Return whether each current lies among these outputs, to within the deviation."""
         margin = self.limits.deviation_A
         return all(min(recent) - margin <= current <= max(recent) + margin
                    for current, recent in zip(measured, zip(*outputs, strict=True), strict=True))
 
     def tick(self, now_s: float) -> Currents:
-        """See what time does: the currents that may flow now."""
+        """Judge the passing of time and return the currents that may flow now.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
+
+        Returns
+        -------
+        Currents, shape (N,)
+            The currents [A].
+        """
         if not self._advance(now_s) or not self.armed:
             return self.zero
         if not self._heard_from_coils(now_s):
@@ -324,7 +435,7 @@ class Gate:
                 'follow')
 
     def _advance(self, now_s: float) -> bool:
-        """Bring heat and slew to `now_s`. A clock that runs backwards or is not finite trips."""
+        """Bring heat and slew to `now_s`; trip if the clock runs backwards or is not finite."""
         if not (math.isfinite(now_s) and self._now_s <= now_s):
             self.trip(Reason.CLOCK, f'from {self._now_s} to {now_s}')
             return False
@@ -339,7 +450,7 @@ class Gate:
         return True
 
     def _load(self, output_A: float, measured_A: float) -> float:
-        """What I²t settles at, taking the worse of commanded and measured."""
+        """Return the value that I²t settles at, for the larger of the two currents."""
         # Bounded, as a nonsensical reading would square to infinity and never cool again.
         share = min(max(abs(output_A), abs(measured_A)) / self.limits.rated_current_A, 1e3)
         return share * share
@@ -357,7 +468,7 @@ class Gate:
         return currents
 
     def _numbers(self, values: Sequence[float]) -> Currents | None:
-        """A finite number for each coil, or None for anything else."""
+        """Return a finite number for each coil, or None for anything else."""
         try:
             numbers = tuple(float(value) for value in values if math.isfinite(value))
             return numbers if len(numbers) == len(values) == len(self.zero) else None

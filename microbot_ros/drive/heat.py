@@ -1,4 +1,4 @@
-"""The heat of the coils, kept in a file so that a restart of the driver does not forget it."""
+"""Heat of the coils, kept in a file so that it survives a restart of the driver."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from microbot_ros.drive.gate import Currents, Limits
 
 _FOLDER = 'microbot_ros/heat'
 _UNSAVED_S = 1.5
-"""Longest time [s] by which the file can be behind a driver that was killed: `save` is called once
-a second, and a busy machine may be late."""
+"""Longest time [s] by which the file can be behind a driver that was killed. Choice: `save` is
+called once a second, and a busy machine may be late by half."""
 _FORGOTTEN_S = 86_400.0
-"""Files older than a day are removed: no coil stays warm for 24 times the longest `thermal_s`."""
+"""Age [s] of files that are removed. Choice: a day, as no coil stays warm for 24 times the longest
+`thermal_s`."""
 _BOOT_ID = Path('/proc/sys/kernel/random/boot_id')
 
 
@@ -29,11 +30,11 @@ class HeatRecord:
     ----------
     url : str
         The amplifier's port or ports. They name the file, in `$XDG_STATE_HOME/microbot_ros/heat`
-        (`~/.local/state/…` where that is not set).
+        (`~/.local/state/…` if that is not set).
     limits : Limits
-        What the gate affirms; heat cools with its `thermal_s`.
+        Limits of the gate; heat cools with their `thermal_s`.
     channels : int
-        The number of coils.
+        Number of coils N.
     """
 
     def __init__(self, url: str, limits: Limits, channels: int) -> None:
@@ -43,11 +44,15 @@ class HeatRecord:
         self._limits, self._channels = limits, channels
 
     def load(self) -> Currents:
-        """Return the heat of each coil now, as a part of what it bears.
+        """Return the present heat of each coil, as a part of the heat it bears.
 
-        Zero where there is no file. What the driver may have added after the last `save` is
-        included. A file that cannot be read, or that is of other coils, gives 1 for each: the
-        most that the gate lets a coil reach.
+        It includes the heat that the driver may have added after the last `save`.
+
+        Returns
+        -------
+        Currents, shape (N,)
+            Zero without a file. 1, the most that the gate lets a coil reach, if the file cannot be
+            read or is of other coils.
         """
         try:
             content = json.loads(self.path.read_text())
@@ -66,7 +71,18 @@ class HeatRecord:
         return tuple(cooled * max(value, value * kept + most * (1.0 - kept)) for value in heat)
 
     def save(self, heat: Currents) -> None:
-        """Write `heat` (N,), all at once. Raises OSError where the file cannot be written."""
+        """Write the heat in one atomic step.
+
+        Parameters
+        ----------
+        heat : Currents, shape (N,)
+            Heat of each coil, as a part of the heat it bears.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written.
+        """
         self.path.parent.mkdir(parents=True, exist_ok=True)
         content = {'heat': heat, 'wall_s': time.time(), 'boot_id': _boot_id(),
                    'boot_s': time.clock_gettime(time.CLOCK_BOOTTIME)}
@@ -75,14 +91,17 @@ class HeatRecord:
         draft.replace(self.path)
 
     def forget_old(self) -> None:
-        """Remove files of any amplifier that nobody has written for a day."""
+        """Remove files of any amplifier that were not written for a day."""
         for path in self.path.parent.glob('*.json'):
             with suppress(OSError):
                 if time.time() - path.stat().st_mtime > _FORGOTTEN_S:
                     path.unlink()
 
     def _elapsed(self, content: dict[str, Any]) -> float:
-        """Since the file was written [s]: by the clock of the boot, or across boots the wall's."""
+        """Return the time since the file was written [s].
+
+        Within one boot by the boot's clock, across boots by the wall clock.
+        """
         if content['boot_id'] == _boot_id():
             return time.clock_gettime(time.CLOCK_BOOTTIME) - float(content['boot_s'])
         return time.time() - float(content['wall_s'])

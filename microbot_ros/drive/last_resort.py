@@ -1,4 +1,4 @@
-"""The sentinel process, from the side of the driver that it watches."""
+"""Host side of the sentinel process that watches the driver."""
 
 from __future__ import annotations
 
@@ -15,16 +15,26 @@ from microbot_ros.drive import sentinel
 
 _SCRIPT = Path(sentinel.__file__)
 _SILENCE_S = 0.1
-"""How long the driver may be silent: like the watchdogs of devices that have one."""
+"""Silence of the driver [s] after which the sentinel acts. Choice: that of devices with a
+watchdog, 0.1 s."""
 _FEED_S = 0.02
+"""Interval of the heartbeats [s]. Choice: a fifth of the silence, so that four may be late."""
 _LEAVE_S = 1.0
+"""Time [s] that a sentinel has to end before it is killed. Choice: five times the 0.2 s of its
+last zeros."""
 _UNREAD_BYTES = 4096
-"""Heartbeats that a sentinel may leave unread before it counts as gone: 82 s of them. The smallest
-pipe that Linux makes."""
+"""Heartbeats that a sentinel may leave unread before it counts as lost, 82 s of them: the size of
+the smallest pipe that Linux makes."""
 
 
 class LastResort:
-    """A sentinel over open lines; `words` are their descriptors and what zeroes their coils."""
+    """A sentinel process that holds open lines.
+
+    Parameters
+    ----------
+    words : sequence of tuple[int, bytes]
+        Descriptor of each line and the bytes that zero its coils.
+    """
 
     def __init__(self, words: Sequence[tuple[int, bytes]]) -> None:
         self._fed_s = 0.0
@@ -40,7 +50,13 @@ class LastResort:
         os.set_blocking(self._feed, False)  # a sentinel that hangs must not hold up the driver
 
     def feed(self) -> bool:
-        """Say that all is well; False where the sentinel is gone. Costs nothing if done often."""
+        """Send a heartbeat if one is due; frequent calls cost nothing.
+
+        Returns
+        -------
+        bool
+            False if the sentinel is lost.
+        """
         now = time.monotonic()
         if now - self._fed_s >= _FEED_S:
             self._fed_s = now
@@ -48,13 +64,15 @@ class LastResort:
         return True
 
     def dismiss(self) -> None:
-        """Let it end without a word: every line that it holds is confirmed to be at zero."""
+        """End the sentinel without a zero: every line that it holds is confirmed to be at zero."""
         self._say(b'q')
         self._end()
 
     def abandon(self) -> None:
-        """Break off its feed, as no zero is confirmed: it zeroes all lines again and again for
-        0.2 s, and ends. Returns at once; a sentinel that hangs is killed.
+        """Stop the heartbeats, as no zero is confirmed; return at once.
+
+        The sentinel zeroes all lines repeatedly for 0.2 s and ends. A sentinel that hangs is
+        killed.
         """
         threading.Thread(target=self._end, daemon=True).start()
 

@@ -1,8 +1,8 @@
-"""How long a USB serial adapter holds bytes back, and asking it not to.
+"""Latency timers of USB serial adapters, and the request for low latency.
 
-Adapters by FTDI hand bytes over when a packet is full or a timer ends, 16 ms after the first from
-the factory: as long as a whole answer may take. In low-latency mode (the flag ASYNC_LOW_LATENCY of
-`setserial`) the kernel sets that timer to 1 ms. Whoever may open a port may ask for it.
+Adapters by FTDI hand over bytes when a packet is full or a timer ends, by default 16 ms after the
+first byte: as long as a whole answer may take. In low-latency mode (the flag ASYNC_LOW_LATENCY of
+`setserial`) the kernel sets that timer to 1 ms. Any user who may open a port may request it.
 """
 
 from __future__ import annotations
@@ -19,9 +19,19 @@ _FLAGS, _LOW_LATENCY = 4, 1 << 13  # integers into `struct serial_struct`; linux
 
 
 def request_low_latency(port: Any) -> bool:
-    """Ask for low latency on an open pyserial `port`; whether the system says it is granted.
+    """Request low latency on an open pyserial port.
 
-    Terminals that are no serial ports, and ports over a network, refuse, and stay as they are.
+    Terminals that are no serial ports, and ports over a network, refuse and stay unchanged.
+
+    Parameters
+    ----------
+    port : object
+        Open pyserial port.
+
+    Returns
+    -------
+    bool
+        Whether the system reports that it is granted.
     """
     state = array.array('i', [0] * 32)
     with suppress(AttributeError, OSError, ValueError):
@@ -32,7 +42,18 @@ def request_low_latency(port: Any) -> bool:
 
 
 def latency_timer_ms(device: str) -> int | None:
-    """How long [ms] the adapter behind a `device` holds bytes back; None where it has no timer."""
+    """Return the time that the adapter behind a device holds bytes back.
+
+    Parameters
+    ----------
+    device : str
+        Device name.
+
+    Returns
+    -------
+    int or None
+        Time [ms]; None if it has no timer.
+    """
     timer = _ADAPTERS / Path(device).resolve().name / 'latency_timer'
     try:
         return int(timer.read_text())

@@ -1,12 +1,11 @@
 """Base of drivers for devices that answer only when asked.
 
-What is said to a device is written down as talks, generators of exchanges, and carried out a step
-at a time: however slow a line is, `poll` returns when it promised to, so that the dead-man of
-whoever calls it is never late, and a zero goes ahead of whatever is being said.
+Communication with a device is described as talks, generators of exchanges, and carried out step by
+step. However slow a line is, `poll` returns in the promised time, so that the caller's dead-man is
+never late, and a zero overtakes whatever is being sent.
 
-A driver describes the talk with one device. Devices on lines of their own are talked to side by
-side, those that share a line one after the other, and what fails with one of them keeps no zero
-from the others.
+A driver describes the talk with one device. Devices on separate lines are talked to in parallel,
+those that share a line one after the other, and a failure of one keeps no zero from the others.
 """
 
 from __future__ import annotations
@@ -32,19 +31,31 @@ from microbot_ros.drive.errors import (
 from microbot_ros.drive.transport import AbsentPort, Port
 
 _ATTEMPTS = 2
-"""All requests set or ask for absolute values, so a damaged exchange may simply be repeated."""
+"""Number of attempts. Choice: one repetition keeps the answer within the dead-man's time. All
+requests set or ask for absolute values, so a damaged exchange may simply be repeated."""
 _INSPECT_S = 0.5
-"""How often to ask what is wrong with the device: heat takes seconds, and lines are slow."""
+"""Interval [s] between questions for faults of the device. Choice: heating takes seconds, and each
+question costs a slow line one reading."""
 _STRAY_S = 0.03
-"""How long answers that nobody waits for any more are let come in."""
+"""Time [s] during which late answers are let in and discarded. Choice: the longest answer time of
+most devices, `PolledAmplifier.reply_s`."""
 
 
 @dataclass(frozen=True)
 class Exchange:
-    """One `request` and what `parse` makes of the answer: None as long as it is incomplete.
+    """One request and the parser of its answer.
 
-    `expected` names the answer for people. Where there is no `parse` there is no answer, and the
-    line is left alone for `rest_s` [s].
+    Attributes
+    ----------
+    request : bytes
+        Bytes to send.
+    parse : callable or None
+        Parser of the bytes received so far; it returns None while the answer is incomplete.
+        Without parser no answer is expected, and the line is left alone for `rest_s`.
+    expected : str
+        Name of the answer, for people.
+    rest_s : float
+        Time [s] after a request without answer.
     """
 
     request: bytes
@@ -55,34 +66,53 @@ class Exchange:
 
 Result = TypeVar('Result')
 Talk = Generator[Exchange, Any, Result]
-"""Yields exchanges with one device, is sent the parsed answer of each, and returns its result."""
+"""Generator that yields exchanges with one device, is sent the parsed answers, and returns its
+result."""
 Round = dict[int, Exchange]
-"""Line → the exchange on it, all side by side."""
+"""Exchanges in parallel, by line."""
 Rounds = Generator[Round | None, Any, Result]
-"""Yields rounds, is sent line → answer or AmplifierError for each, and returns its result."""
+"""Generator that yields rounds, is sent an answer or AmplifierError for each line, and returns its
+result."""
 
 
 class PolledAmplifier(Amplifier):
-    """Asks for the currents after each command and at least every `period_s`.
+    """Amplifier that is asked for its currents after each command and at least every `period_s`.
 
-    `url` names its ports, `full_scale_A` [A] the current of a channel at full output, of so many
-    `channels`.
+    Parameters
+    ----------
+    url : str
+        Names of its ports, separated by commas.
+    full_scale_A : float or sequence of float
+        Current of each coil at full output [A]; a scalar applies to all coils.
+    channels : int
+        Number of coils N.
+
+    Raises
+    ------
+    InputError
+        If the number of ports is not that of the lines.
     """
 
     channels_per_device = 1
+    """Number of channels of one device; drivers set that of their device."""
     share_a_line = False
-    """Whether all devices are on one serial line; else each has its own."""
+    """Whether all devices are on one serial line; otherwise each has its own."""
     baud = 115_200
+    """Rate of the line [1/s]. Choice: the most common rate of USB adapters; drivers set that of
+    their device."""
     xon_xoff = False
     queues = False
-    """Whether the line is so slow that a zero would wait behind what was said before."""
+    """Whether the line is so slow that a zero would wait behind bytes sent before."""
     period_s = 0.02
+    """Longest interval [s] between questions for currents. Choice: the 50 Hz of boards that report
+    unasked."""
     reply_s = 0.03
-    """How long a device may take to answer: twice what a USB adapter holds bytes back at most."""
+    """Longest time [s] until a device answers. Choice: twice the longest delay of a USB adapter
+    (16 ms)."""
     gap_s = 0.0
-    """The silence that ends a request, where nothing else does."""
+    """Silence [s] that ends a request; 0 where the request ends by itself."""
     zero_again = b''
-    """Request that repeats a zero while an answer is awaited; empty where a device takes none."""
+    """Request that repeats a zero while an answer is awaited; empty if a device accepts none."""
 
     def __init__(self, url: str, full_scale_A: float | Sequence[float],
                  channels: int = len(COILS)) -> None:
@@ -112,7 +142,7 @@ class PolledAmplifier(Amplifier):
 
     @abstractmethod
     def _identify(self, device: int) -> Talk[None]:
-        """Make sure of a device. Raises WrongDeviceError, after which nothing is sent to it."""
+        """Identify a device; raise WrongDeviceError, after which nothing is sent to the device."""
 
     def _configure(self, device: int) -> Talk[None]:
         """Zero the device and arm its watchdog, once all devices are identified."""
@@ -124,29 +154,29 @@ class PolledAmplifier(Amplifier):
 
     @abstractmethod
     def _drive(self, device: int, currents_A: np.ndarray) -> Talk[None]:
-        """Set the currents [A] of a device, one for each of its channels but for a spare one."""
+        """Set the currents [A] of a device, one for each of its channels except spare ones."""
 
     @abstractmethod
     def _measure(self, device: int) -> Talk[Sequence[float]]:
         """Ask a device for its currents [A], (`channels_per_device`,)."""
 
     def _inspect(self, device: int) -> Talk[str]:
-        """What a device says is wrong with it; '' where nothing is, or where it cannot tell."""
+        """Return the fault that a device reports; '' if there is none or if it reports none."""
         yield from ()
         return ''
 
     def _switch_off(self, device: int) -> Talk[None]:
-        """Switch the outputs of a device off, where it can."""
+        """Switch the outputs of a device off, if it can."""
         yield from ()
 
     def _duties(self, device: int, currents_A: np.ndarray) -> list[float]:
-        """The currents [A] of a device as parts of full scale, with 0 for a spare channel."""
+        """Return the currents [A] of a device as parts of full scale; 0 for a spare channel."""
         scale = self._part(device, self.full_scale_A)
         duties: list[float] = (currents_A[:len(scale)] / scale).tolist()
         return duties + [0.0] * (self.channels_per_device - len(duties))
 
     def _part(self, device: int, values: np.ndarray) -> np.ndarray:
-        """What of `values` (N,) belongs to a device: nothing for a spare channel."""
+        """Return the part of `values` (N,) that belongs to a device, without spare channels."""
         begin = device * self.channels_per_device
         return values[begin:begin + self.channels_per_device]
 
@@ -177,13 +207,13 @@ class PolledAmplifier(Amplifier):
         self.fault = _joined(found)
 
     def _require_ports(self) -> None:
-        """Raise at once for a port that is away: the next attempt shall not be late for it."""
+        """Raise at once for an absent port, so that the next attempt is not late."""
         for port in self._lines:
             if isinstance(port, AbsentPort):
                 raise port.error
 
     def _require(self, found: dict[int, Any]) -> dict[int, Any]:
-        """The results of talks; raises the first error among them, with all ports noted."""
+        """Return the results of talks; raise the first error after noting all lost ports."""
         errors = [result for result in found.values() if isinstance(result, AmplifierError)]
         self._lose_all(errors)
         for error in errors:
@@ -201,8 +231,9 @@ class PolledAmplifier(Amplifier):
         return self._make_safe(self.devices, self.read_back_s)
 
     def _make_safe(self, devices: Sequence[int], patience_s: float) -> Zero:
-        """Zero these devices, read back for `patience_s` [s] and disable them; return the worst
-        that holds of one.
+        """Zero these devices, read back and disable them; return the worst state of any.
+
+        The read-back lasts `patience_s` [s] at most.
         """
         self._zero_lines(devices)
         self._carry_out(self._let_strays_in())
@@ -259,9 +290,10 @@ class PolledAmplifier(Amplifier):
             raise error
 
     def _zero_lines(self, devices: Iterable[int]) -> AmplifierError | None:
-        """Zero the lines of these devices ahead of all that is being said, whose answers are let
-        pass; in its turn a zero is said again, and made sure of. Return the first error, once a
-        zero was sent on every other line.
+        """Zero the lines of these devices before everything else; return the first error.
+
+        The error is returned after a zero was sent on every other line. Answers to earlier
+        requests are let pass; a zero is sent again and confirmed in the regular sequence.
         """
         self._flowing = False
         self.clock.sleep(self.gap_s)
@@ -273,8 +305,9 @@ class PolledAmplifier(Amplifier):
 
     def _send_to(self, requests: dict[int, bytes], *, discard: bool = False,
                  ) -> AmplifierError | None:
-        """Send each line its request, with `discard` in place of what has not gone out; return the
-        first error, once every other line was sent its own.
+        """Send each line its request; return the first error after sending to all lines.
+
+        With `discard` it replaces bytes that have not gone out.
         """
         errors = []
         for line, request in requests.items():
@@ -312,7 +345,7 @@ class PolledAmplifier(Amplifier):
         return measured
 
     def _go_on(self, until_s: float) -> None:
-        """Say what is next, or hear what comes, until then at the latest."""
+        """Send the next round, or receive answers, until `until_s` at the latest."""
         if self._asked is None:
             exchanges, self._answers = self._agenda.send(self._answers), None
             if exchanges is None:
@@ -326,8 +359,11 @@ class PolledAmplifier(Amplifier):
             self._asked = None
 
     def _say_all(self, first: Round | None) -> Rounds[None]:
-        """After what comes first, for ever in turn: the newest currents, the question for the
-        measured ones, one round of the inspection; None where there is nothing to say now."""
+        """Yield the first round, then in an endless cycle all others; None if nothing is due.
+
+        The cycle is: the newest currents, the question for the measured ones, one round of the
+        inspection.
+        """
         yield first
         inspection = self._inspect_again()
         inspected: dict[int, Any] | None = None
@@ -363,7 +399,7 @@ class PolledAmplifier(Amplifier):
 
     def _talk_to(self, devices: Iterable[int], talk: Callable[[int], Talk[Result]],
                  ) -> Rounds[dict[int, Result | AmplifierError]]:
-        """Have a talk with each of these devices, side by side where their lines are."""
+        """Talk to each of these devices, in parallel where they have separate lines."""
         if not self.share_a_line:
             return (yield from _side_by_side({device: talk(device) for device in devices}))
         found: dict[int, Result | AmplifierError] = {}
@@ -374,7 +410,7 @@ class PolledAmplifier(Amplifier):
 
     def _with_each(self, talk: Callable[[int], Talk[Result]], devices: Iterable[int] | None = None,
                    attempts: int = _ATTEMPTS) -> dict[int, Result | AmplifierError]:
-        """Device → the result of a talk with it, or its error, once all have ended."""
+        """Return the result of a talk, or its error, by device, after all have ended."""
         return self._carry_out(
             self._talk_to(self.devices if devices is None else sorted(devices), talk), attempts)
 
@@ -394,7 +430,7 @@ class PolledAmplifier(Amplifier):
 
 
 def _side_by_side(talks: dict[int, Talk[Result]]) -> Rounds[dict[int, Result | AmplifierError]]:
-    """Have talks on several lines at once, a round at a time; line → result or error."""
+    """Hold talks on several lines in parallel, round by round; return result or error by line."""
     found: dict[int, Result | AmplifierError] = {}
     going_on, answers = dict(talks), dict.fromkeys(talks)
     while going_on:
@@ -422,7 +458,7 @@ def _next(talk: Talk[Any], answer: Any) -> Exchange:
 
 
 class _Asked:
-    """Exchanges under way, one a line: sent now, and again where the answer stays away."""
+    """Exchanges in progress, one per line: sent now, and again if no answer arrives."""
 
     def __init__(self, exchanges: Round, lines: Sequence[Port], reply_s: float, attempts: int,
                  counters: Counters, clock: Clock) -> None:
@@ -432,13 +468,15 @@ class _Asked:
         self._deadline_s = dict.fromkeys(exchanges, 0.0)
         self._received = dict.fromkeys(exchanges, b'')
         self.heard: dict[int, Any] = {}
-        """Line → answer or error, of those that have one already."""
+        """Answer or error by line, of the lines that have one."""
         for line in exchanges:
             self._send(line)
 
     def answers(self, until_s: float) -> dict[int, Any] | None:
-        """Line → answer, or the AmplifierError of a line that is lost or has none after repeated
-        attempts; None if they are not complete by then, or when woken.
+        """Return the answer or AmplifierError by line; None if incomplete or if woken.
+
+        It waits until `until_s` at the latest. An AmplifierError stands for a line that is lost or
+        has no answer after repeated attempts.
         """
         while (line := self._open_line()) is not None:
             try:
@@ -452,7 +490,7 @@ class _Asked:
         return next((line for line in self._exchanges if line not in self.heard), None)
 
     def _hear(self, line: int, until_s: float) -> bool:
-        """Take what a line has to say; False for nothing yet."""
+        """Process the bytes of a line; return False if there are none yet."""
         exchange, deadline_s = self._exchanges[line], self._deadline_s[line]
         left_s = min(deadline_s, until_s) - self._clock.now()
         if exchange.parse is None:

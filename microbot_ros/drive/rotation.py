@@ -1,9 +1,9 @@
-"""Currents of a field that turns, sample by sample; pure, as the gate is.
+"""Currents of a rotating field, sample by sample; pure, like the gate.
 
-The field is a steady one and one of constant strength along a unit vector that turns about an
-axis. What carries on through every change is that vector: a new axis takes of it what lies across,
-so that the phase has no step, and what the currents jump even so (the field has grown, the axis
-has tipped) is made up for no faster than the gate allows.
+The field is the sum of a constant one and one of constant strength along a unit vector that
+rotates about an axis. The vector is continuous through every change: for a new axis its component
+across the axis is used, so that the phase has no step. Remaining steps of the currents (the field
+has grown, the axis has tilted) are made up for no faster than the gate allows.
 """
 
 from __future__ import annotations
@@ -19,16 +19,29 @@ from microbot_ros.drive.amplifier import Swing
 Vector = tuple[float, float, float]
 
 _ALONG = 1e-9
-"""Of a unit vector: what lies across an axis is less than this where they are parallel."""
+"""Length of the component of a unit vector across an axis below which both are parallel. Choice:
+far above rounding (1e-16), far below any angle that matters."""
 
 
 @dataclass(frozen=True, eq=False)
 class Turning:
-    """`steady` (N,) [A] and `per_direction` (N, 3) [A] times a unit vector that turns.
+    """Currents `steady` + `per_direction` times a rotating unit vector.
 
-    About `axis` (3,), a unit vector, at `rate` [rad/s], right-handed; it begins at `start` (3,)
-    unless one turns already. `driven` are the currents (N,) that are worth so much, where the core
-    of a coil saturates.
+    Attributes
+    ----------
+    steady : ndarray, shape (N,)
+        Constant currents [A].
+    per_direction : ndarray, shape (N, 3)
+        Currents [A] per unit vector along each axis.
+    axis : ndarray, shape (3,)
+        Unit vector of the axis.
+    rate : float
+        Angular velocity [rad/s], right-handed.
+    start : ndarray, shape (3,)
+        Unit vector at which the rotation begins, unless a rotation is in progress.
+    driven : callable
+        Function that returns the currents (N,) [A] that have the same effect if the core of a coil
+        saturates.
     """
 
     steady: np.ndarray
@@ -39,13 +52,30 @@ class Turning:
     driven: Callable[[np.ndarray], np.ndarray] = np.asarray
 
     def at(self, direction: Vector | np.ndarray) -> np.ndarray:
-        """The currents (N,) [A] for a `direction` (3,) of what turns."""
+        """Return the currents for a direction of the rotating vector.
+
+        Parameters
+        ----------
+        direction : Vector or ndarray, shape (3,)
+            Unit vector.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Currents [A].
+        """
         with np.errstate(invalid='ignore'):  # the gate tells what is not finite
             return self.driven(self.steady + self.per_direction @ np.asarray(direction))
 
 
 class Rotation:
-    """Where the vector of a `Turning` is. `slew_A_per_s` bounds how fast a jump is made up for."""
+    """Position of the rotating vector of a `Turning`.
+
+    Parameters
+    ----------
+    slew_A_per_s : float
+        Fastest rate [A/s] at which a step of the currents is made up for.
+    """
 
     def __init__(self, slew_A_per_s: float) -> None:
         self._slew_A_per_s = slew_A_per_s
@@ -56,22 +86,31 @@ class Rotation:
 
     @property
     def turns(self) -> bool:
-        """Whether anything does."""
+        """Whether a rotation is in progress."""
         return self._turning is not None
 
     @property
     def settled(self) -> bool:
-        """Whether all jumps had been made up for in the last sample."""
+        """Whether all steps had been made up for in the last sample."""
         return not self._left.any()
 
     def stop(self) -> None:
-        """The next one begins anew."""
+        """Stop; the next rotation begins anew."""
         self._turning = None
 
     def follow(self, turning: Turning, now_s: float, flowing_A: np.ndarray) -> None:
-        """Go on with another `turning` from `now_s` on.
+        """Continue with another rotation.
 
-        It begins at what turned until now, or else at `flowing_A` (N,) [A].
+        It begins at the present direction of the rotation in progress, or else at `flowing_A`.
+
+        Parameters
+        ----------
+        turning : Turning
+            The new rotation.
+        now_s : float
+            Present time [s] of the monotonic clock.
+        flowing_A : ndarray, shape (N,)
+            Present currents [A].
         """
         direction: Vector = tuple(turning.start.tolist())
         if self._turning is not None:
@@ -83,7 +122,18 @@ class Rotation:
         self._jump = self._left = flowing_A - turning.at(self._direction)
 
     def currents(self, now_s: float) -> np.ndarray:
-        """The currents (N,) [A] at `now_s`; NaN, which no gate lets pass, where the axis is."""
+        """Return the currents at a time.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Currents [A]; NaN, which no gate passes, if the axis is NaN.
+        """
         assert self._turning is not None
         self._advance(now_s)
         made_up = self._slew_A_per_s * (now_s - self._since)
@@ -91,9 +141,12 @@ class Rotation:
         return self._turning.at(self._direction) + self._left
 
     def swing(self) -> Swing:
-        """How the currents of the last sample go on, for a device that turns them by itself.
+        """Return how the currents continue, for a device that rotates them by itself.
 
-        Exact once they have `settled`, where no core saturates.
+        Returns
+        -------
+        Swing
+            From the last sample on. Exact once they have `settled`, if no core saturates.
         """
         turning = self._turning
         assert turning is not None
@@ -103,7 +156,7 @@ class Rotation:
                      turning.per_direction @ np.array(ahead), turning.rate)
 
     def _advance(self, now_s: float) -> None:
-        """Turn about the axis by what the time since the last sample makes."""
+        """Rotate about the axis by the angle since the last sample."""
         assert self._turning is not None
         angle = self._turning.rate * (now_s - self._t)
         c, s = math.cos(angle), math.sin(angle)
@@ -115,8 +168,9 @@ class Rotation:
 
 
 def _across(direction: Vector, axis: Vector) -> Vector:
-    """The unit vector across a unit `axis` that is nearest to a unit `direction`; any across it
-    where the two are parallel.
+    """Return the unit vector across a unit `axis` that is nearest to a unit `direction`.
+
+    Any vector across the axis if the two are parallel.
     """
     (x, y, z), (a, b, d) = direction, axis
     along = x * a + y * b + z * d

@@ -1,10 +1,10 @@
-"""Sign and gain of each coil, from a short pulse in one after the other; pure, as the gate is.
+"""Sign and gain of each coil from one short pulse per coil; pure, like the gate.
 
-The last pulse can be left to the device: one with a watchdog ends it by itself.
+The last pulse can be left to the device: a device with a watchdog ends it by itself.
 
-The pulses are commands like any other and pass the gate. What they tell is what the amplifier
-measures: that each channel drives its own coil, the right way round and as much as it is told.
-A coil whose two leads are swapped conducts as it should, and only its field shows it.
+The pulses are ordinary commands and pass the gate. The amplifier's measurements then show that
+each channel drives its own coil, with the right sign and the commanded current. A coil with
+swapped leads conducts normally; only its field shows the error.
 """
 
 from __future__ import annotations
@@ -16,23 +16,37 @@ from microbot_ros.drive.amplifier import COILS
 from microbot_ros.drive.gate import Currents, Limits
 
 _PULSE = 3
-"""The pulse is so many times what a reading may deviate by; half a gain is then off by 1.5 of
-these, an open coil by 3 and a reversed one by 6."""
+"""Pulse in units of the deviation of a reading. Choice: half a gain is then off by 1.5 of these,
+an open coil by 3 and a reversed coil by 6; at half of it half a gain would pass."""
 LONGEST_WATCHDOG_S = 0.5
-"""A device that lets current flow for longer without a host has no watchdog worth the name."""
+"""Longest time [s] that a watchdog may take. Choice: a device that lets current flow for longer
+without a host is treated as one without watchdog."""
 
 
 class SelfCheck:
-    """One pass over the coils, called `names` (N,). `wanted` is the command of the moment, `done`
-    comes with the last zero, `complaint` names the first coil that is not right; `gains` (N) are
-    measured over commanded currents.
+    """One pass over the coils.
 
-    With `tries_watchdog` the last pulse is not taken back: while `silent`, nothing may be sent
-    and the device is to go to zero by itself; `watchdog_s` is how long it took, from the pulse.
+    `wanted` is the present command, `done` is set with the last zero, `complaint` names the first
+    faulty coil, and `gains` (N,) are measured over commanded currents. While `silent`, nothing may
+    be sent and the device must go to zero by itself; `watchdog_s` is the time it took, from the
+    pulse.
 
-    A reading agrees within the gate's `deviation_A` and has its `settling_s` to get there; one
-    that no settling leads through is judged at once. Raises InputError for limits that leave no
-    room for a pulse in which half a gain would show.
+    A reading agrees within the gate's `deviation_A` and has its `settling_s` to get there; a
+    reading that cannot occur while settling is judged at once.
+
+    Parameters
+    ----------
+    limits : Limits
+        Limits of the gate.
+    names : sequence of str, shape (N,)
+        Names of the coils.
+    tries_watchdog : bool
+        Whether to leave the last pulse to the watchdog of the device.
+
+    Raises
+    ------
+    InputError
+        If the limits leave no room for a pulse that would show half a gain.
     """
 
     def __init__(self, limits: Limits, names: Sequence[str] = COILS, *,
@@ -56,9 +70,17 @@ class SelfCheck:
 
     def measured(self, currents_A: Sequence[float], now_s: float,
                  since_s: float | None = None) -> None:
-        """Take measured `currents_A` (N,) [A] and go on as they allow; `now_s` [s] is now.
+        """Judge measured currents and proceed to the next step.
 
-        `since_s`: they show what was wanted then, where the line is too slow for what is now.
+        Parameters
+        ----------
+        currents_A : sequence of float, shape (N,)
+            Measured current of each coil [A].
+        now_s : float
+            Present time [s] of the monotonic clock.
+        since_s : float or None
+            Time [s] of the commands that the currents show, if the line is too slow for the
+            present ones; None for now.
         """
         since_s = now_s if since_s is None else since_s
         coil, margin = len(self.gains), self._limits.deviation_A
@@ -74,8 +96,15 @@ class SelfCheck:
                 self.complaint = self._diagnosis(coil, currents_A)
 
     def repeat(self, now_s: float) -> None:
-        """Give the pulse its whole time again from `now_s`: it may have been interrupted by the
-        device's watchdog, as no command was written for too long."""
+        """Restart the time of the present pulse.
+
+        The device's watchdog may have interrupted it, as no command was written for too long.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
+        """
         if any(self.wanted) and not self.silent:
             self._pulsed_s = now_s
 

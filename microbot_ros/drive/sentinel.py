@@ -1,10 +1,10 @@
-"""A process that zeroes the coils when the one that drives them dies or hangs.
+"""Process that zeroes the coils when the process that drives them dies or hangs.
 
-For devices without a watchdog of their own. It holds the same lines, and is fed through its
-standard input: a dot now and then while all is well, `q` at an orderly end. Where the dots stay
-away it says the last words, which zero the coils, and again until they come back; where the feed
-breaks off, for a while and then it ends. It is run as a script, by its path, and imports nothing
-of the project, so that it is there within 20 ms and has nothing to fail on.
+It is for devices without a watchdog. It holds the same lines and is fed through its standard
+input: a dot at intervals while all is well, `q` at an orderly end. When the dots stop, it sends
+the bytes that zero the coils, repeatedly until the dots return; when the feed is closed, it does
+so for a while and ends. It is run as a script, by its path, and imports nothing of the project, so
+that it is ready within 20 ms and depends on nothing that could fail.
 
     python sentinel.py SILENCE_S DESCRIPTOR=HEX...
 """
@@ -17,15 +17,25 @@ import sys
 import time
 
 ASIDE = 'microbot_sentinels'
-"""The control group that all sentinels of a slice share; it stays, empty, when they have ended."""
+"""Control group that all sentinels of a slice share; it remains, empty, when they have ended."""
 AGAIN_S = 0.02
-"""Said again this often: what was under way on the line may damage the first."""
+"""Interval [s] at which the zero is repeated, as bytes in transit may damage the first. Choice:
+longer than a packet takes on all lines with a sentinel but the slowest."""
 REPEATS = 10
+"""Number of zeros after the feed is closed. Choice: 0.2 s of them."""
 
 
 def watch(silence_s: float, words: list[tuple[int, bytes]], feed: int) -> None:
-    """Zero the coils after `silence_s` without a byte, until the feed ends; `words` are the lines'
-    descriptors and what zeroes their coils.
+    """Zero the coils after a silence, until the feed ends.
+
+    Parameters
+    ----------
+    silence_s : float
+        Longest time [s] without a byte.
+    words : list of tuple[int, bytes]
+        Descriptor of each line and the bytes that zero its coils.
+    feed : int
+        Descriptor of the feed.
     """
     patience_s = silence_s
     while True:
@@ -45,19 +55,36 @@ def watch(silence_s: float, words: list[tuple[int, bytes]], feed: int) -> None:
 
 
 def say(words: list[tuple[int, bytes]]) -> None:
-    """Put the words on the lines; a line that is gone or takes nothing is left out."""
+    """Write the bytes to the lines; skip a line that is lost or accepts nothing.
+
+    Parameters
+    ----------
+    words : list of tuple[int, bytes]
+        Descriptor of each line and its bytes.
+    """
     for descriptor, word in words:
         with contextlib.suppress(OSError):
             os.write(descriptor, word)
 
 
 def step_aside(groups: str = '/sys/fs/cgroup', own: str = '/proc/self/cgroup') -> bool:
-    """Move this process into a control group beside the host's; return whether that was allowed.
+    """Move this process into a control group beside the host's.
 
-    What kills the host's whole group, as a service manager or the kernel out of memory does, then
-    leaves this process alone. A user may move processes below a systemd user session, and root
-    anywhere; elsewhere the process stays where it is. `groups` is where cgroup v2 is mounted,
-    `own` the file that names the group of this process.
+    An event that kills the host's whole group, such as a stopped service or the kernel out of
+    memory, then spares this process. A user may move processes below a systemd user session, and
+    root anywhere; elsewhere the process stays where it is.
+
+    Parameters
+    ----------
+    groups : str
+        Mount point of cgroup v2.
+    own : str
+        File that names the group of this process.
+
+    Returns
+    -------
+    bool
+        Whether the move was allowed.
     """
     with contextlib.suppress(OSError, StopIteration):
         with open(own, encoding='utf-8') as file:
@@ -73,7 +100,7 @@ def step_aside(groups: str = '/sys/fs/cgroup', own: str = '/proc/self/cgroup') -
 
 
 def main() -> None:
-    """Outlive what ends the host: a closed terminal, Ctrl-C, a service that is stopped."""
+    """Run the sentinel; ignore a closed terminal, Ctrl-C and the stop of a service."""
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     step_aside()

@@ -1,4 +1,4 @@
-"""Bytes over a serial port or a network one, through pyserial, with errors that have a name."""
+"""Bytes over a serial or network port, through pyserial, with named errors."""
 
 from __future__ import annotations
 
@@ -22,26 +22,54 @@ from microbot_ros.drive.errors import (
 from microbot_ros.drive.low_latency import request_low_latency
 
 _SLICE_S = 0.005
-"""Longest uninterrupted wait in the kernel: how long `close` from another thread can take."""
+"""Longest uninterrupted wait in the kernel [s]: the longest time that `close` from another thread
+takes. Choice: the tick of the driver's thread."""
 _WRITE_TIMEOUT_S = 0.1
+"""Time [s] without an accepted byte after which a line is lost. Choice: the watchdog time of most
+devices."""
 _MOST_AT_ONCE = 4096
+"""Largest number of bytes read at once. Choice: a page, so that a babbling device cannot hold the
+thread."""
 _WITH_DESCRIPTOR = frozenset({'socket', 'hwgrep', 'spy', 'alt'})
-"""Kinds of pyserial URLs whose ports are of the system's: `rfc2217`, `loop` and `cp2110` are
+"""Kinds of pyserial URLs whose ports belong to the system; `rfc2217`, `loop` and `cp2110` do
 not."""
 
 
 def has_descriptor(url: str) -> bool:
-    """Return whether the port `url` has a file descriptor once it is open, judged by its name."""
+    """Return whether a port has a file descriptor once it is open, judged by its name.
+
+    Parameters
+    ----------
+    url : str
+        Device name or pyserial URL of the port.
+
+    Returns
+    -------
+    bool
+        Whether it has one.
+    """
     kind, separator, _ = url.partition('://')
     return not separator or kind in _WITH_DESCRIPTOR
 
 
 class Port:
-    """One open line to an amplifier, closed to every other program.
+    """One open line to an amplifier, closed to every other program and asked for low latency.
 
-    `url` is a device (`/dev/ttyACM0`, `/dev/serial/by-id/…`) or a pyserial URL (`socket://`,
-    `rfc2217://`), `baud` its rate [1/s], `xon_xoff` whether it may pause us. It is asked for low
-    latency. Raises PortMissingError or PortBusyError.
+    Parameters
+    ----------
+    url : str
+        Device (`/dev/ttyACM0`, `/dev/serial/by-id/…`) or pyserial URL (`socket://`, `rfc2217://`).
+    baud : int
+        Rate of the line [1/s].
+    xon_xoff : bool
+        Whether the device may pause the transmission by XOFF.
+
+    Raises
+    ------
+    PortMissingError
+        If the port cannot be opened.
+    PortBusyError
+        If another program holds it.
     """
 
     def __init__(self, url: str, baud: int, *, xon_xoff: bool = False) -> None:
@@ -61,10 +89,20 @@ class Port:
         """Whether the system hands over every byte at once."""
 
     def send(self, data: bytes) -> None:
-        """Hand `data` to the line at once. Raises PortLostError where it takes none for 0.1 s.
+        """Hand bytes to the line at once.
 
-        pyserial's own limit counts from before the first byte and is looked at after the last: a
-        process that was held up meanwhile would lose a line that took everything.
+        pyserial's own limit counts from before the first byte and is checked after the last: a
+        process that was delayed meanwhile would lose a line that accepted everything.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes to send.
+
+        Raises
+        ------
+        PortLostError
+            If the line accepts no byte for 0.1 s.
         """
         with self._named():
             descriptor = self.descriptor
@@ -78,8 +116,23 @@ class Port:
                 data = data[os.write(descriptor, data):]
 
     def receive(self, timeout_s: float = 0.0) -> bytes:
-        """What has arrived; waits for the first byte at most `timeout_s` (+ 5 ms at a port that is
-        none of the system's), or until woken, then b''. A wait of less than 5 ms is not woken.
+        """Return the bytes that arrived; wait for the first if there is none.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait [s]; 5 ms more at a port without descriptor. A wait of less than 5
+            ms cannot be woken.
+
+        Returns
+        -------
+        bytes
+            B'' if none arrived in time, or if woken.
+
+        Raises
+        ------
+        PortLostError
+            If the port stopped working.
         """
         deadline = time.monotonic() + timeout_s
         brief = timeout_s < _SLICE_S and self.descriptor is not None
@@ -95,8 +148,7 @@ class Port:
             return data
 
     def wake(self) -> None:
-        """Let a `receive` that waits, or else the next one, return without waiting; from any
-        thread."""
+        """Make a waiting `receive`, or else the next one, return at once; from any thread."""
         self._woken = True
         # Not every kind of port can be woken; those that cannot look every 5 ms.
         with suppress(AttributeError, OSError, TypeError):
@@ -104,31 +156,31 @@ class Port:
 
     @property
     def descriptor(self) -> int | None:
-        """The file descriptor, where the port is one of the system's."""
+        """File descriptor, if the port belongs to the system."""
         try:
             return int(self._serial.fileno())
         except (AttributeError, OSError):  # a port over RFC 2217 has none
             return None
 
     def _waiting(self) -> bytes:
-        """What is there to be read without waiting; a socket tells of one byte at a time."""
+        """Return the bytes that can be read at once; a socket reports one byte at a time."""
         data = b''
         while len(data) < _MOST_AT_ONCE and (count := self._serial.in_waiting):
             data += self._serial.read(count)
         return data
 
     def discard_output(self) -> None:
-        """Take back what was handed to the line and has not gone out."""
+        """Discard the bytes that were handed to the line and have not gone out."""
         with self._named():
             self._serial.reset_output_buffer()
 
     def discard_input(self) -> None:
-        """Forget what arrived and was not read."""
+        """Discard the bytes that arrived and were not read."""
         with self._named():
             self._serial.reset_input_buffer()
 
     def close(self) -> None:
-        """Give the port back; harmless when it is gone already."""
+        """Release the port; does nothing if it is released already."""
         # Whatever a kind of port fails with must not keep its neighbours from being closed.
         with suppress(Exception):
             self._serial.close()
@@ -154,7 +206,13 @@ def _ready(descriptor: int, event: int, timeout_s: float) -> bool:
 
 
 class AbsentPort(Port):
-    """Stand-in for a port that could not be opened: using it raises the `error` again."""
+    """Stand-in for a port that could not be opened: using it raises the error again.
+
+    Parameters
+    ----------
+    error : UnreachableError
+        Error of the attempt to open it.
+    """
 
     descriptor = None
     low_latency = False
@@ -170,7 +228,7 @@ class AbsentPort(Port):
         raise self.error
 
     def wake(self) -> None:
-        """Nothing waits."""
+        """Do nothing."""
 
     def discard_output(self) -> None:
         raise self.error
@@ -179,4 +237,4 @@ class AbsentPort(Port):
         raise self.error
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing."""

@@ -1,1 +1,1 @@
-"""The amplifiers, one folder for each protocol."""
+"""Amplifiers, one folder for each protocol."""

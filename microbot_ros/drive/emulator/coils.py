@@ -1,4 +1,4 @@
-"""What every emulated amplifier does with a command: hold currents, guard them, log changes."""
+"""Common part of emulated amplifiers: hold currents, guard them, log changes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,23 @@ from typing import TextIO
 
 
 class Coils:
-    """Currents of so many `channels` within ±`full_scale_A` that change at once, and the watchdog
-    that zeroes them.
+    """Currents that change at once, within ±`full_scale_A`, and the watchdog that zeroes them.
 
-    Every change is one line of JSON in `log`, flushed: `t_monotonic_s`, `currents_A`, `cause`.
-    `watchdog_s` is how long after the last good command the currents go to zero; None models
-    firmware that keeps them for ever; `clock` counts seconds.
+    Every change is one line of JSON in the log, flushed: `t_monotonic_s`, `currents_A`, `cause`.
+
+    Parameters
+    ----------
+    full_scale_A : float
+        Largest current [A].
+    watchdog_s : float or None
+        Time [s] after the last valid command at which the currents go to zero; None models
+        firmware that keeps them indefinitely.
+    log : TextIO
+        File of the log.
+    clock : callable
+        Function that returns the time [s].
+    channels : int
+        Number of coils N.
     """
 
     def __init__(self, full_scale_A: float, watchdog_s: float | None, log: TextIO,
@@ -24,7 +35,7 @@ class Coils:
         self.full_scale_A = full_scale_A
         self.watchdog_s = watchdog_s
         self.currents_A: tuple[float, ...] = ()
-        """What flows, and is measured."""
+        """Currents (N,) [A] that flow, and are measured."""
         self._wanted: list[float] = [0.0] * channels
         self._shares: tuple[float, ...] = (1.0,) * channels
         self._log = log
@@ -33,10 +44,15 @@ class Coils:
         self.zero('reset')
 
     def command(self, wanted_A: dict[int, float] | Sequence[float], feeds: bool = True) -> None:
-        """Take `wanted_A` [A], of some coils, by index, or of all.
+        """Set currents and, if requested, feed the watchdog.
 
-        That `feeds` the watchdog where a host has asked for it. A channel without a coil carries
-        nothing.
+        Parameters
+        ----------
+        wanted_A : dict of int to float or sequence of float
+            Currents [A] of some coils by index, or of all. A channel without a coil carries
+            nothing.
+        feeds : bool
+            Whether the command feeds the watchdog, if a host has enabled it.
         """
         if feeds:
             self.feed()
@@ -47,30 +63,54 @@ class Coils:
         self._settle('command')
 
     def feed(self) -> None:
-        """Start the watchdog's time anew."""
+        """Restart the watchdog's time."""
         if self.watchdog_s is not None:
             self._deadline_s = self._clock() + self.watchdog_s
 
     def zero(self, cause: str) -> None:
-        """Zero for a reason other than a command; the watchdog rests until the next command."""
+        """Zero for a reason other than a command; the watchdog is idle until the next command.
+
+        Parameters
+        ----------
+        cause : str
+            Reason, for the log.
+        """
         self._deadline_s = math.inf
         self._wanted = [0.0] * self.channels
         self._settle(cause)
 
     def conduct(self, shares: tuple[float, ...], cause: str) -> None:
-        """Let each coil carry its part in `shares` of its current until told otherwise: 0 where
-        its wire is broken, −1 where it is reversed.
+        """Set the share of its current that each coil carries.
+
+        Parameters
+        ----------
+        shares : tuple of float, shape (N,)
+            0 for a broken wire, −1 for a reversed coil; they hold until changed.
+        cause : str
+            Reason, for the log.
         """
         if shares != self._shares:
             self._shares = shares
             self._settle(cause)
 
     def due_s(self) -> float:
-        """When the watchdog will zero the currents [s, monotonic]; inf where it rests."""
+        """Return the time at which the watchdog will zero the currents.
+
+        Returns
+        -------
+        float
+            Time [s] of the monotonic clock; inf if it is idle.
+        """
         return self._deadline_s
 
     def watch(self, now_s: float) -> None:
-        """Zero the currents if the watchdog's time is over at `now_s`."""
+        """Zero the currents if the watchdog's time has passed.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
+        """
         if now_s >= self._deadline_s:
             self.zero('watchdog')
 

@@ -1,4 +1,4 @@
-"""The contract between an emulated amplifier and the terminal that it sits behind."""
+"""Contract between an emulated amplifier and its terminal."""
 
 from __future__ import annotations
 
@@ -9,33 +9,71 @@ from microbot_ros.drive.emulator.coils import Coils
 
 
 class Device(ABC):
-    """An amplifier of some `coils` as its bytes show it: no clock of its own, no port, no file."""
+    """Emulated amplifier at the level of its bytes: no clock of its own, no port, no file.
+
+    Parameters
+    ----------
+    coils : Coils
+        Currents that it drives.
+    """
 
     channels_per_port = 0
-    """How many channels a serial line serves; 0 for all."""
+    """Number of channels that a serial line serves; 0 for all."""
 
     def __init__(self, coils: Coils) -> None:
         self.coils = coils
         self.ports = math.ceil(coils.channels / (self.channels_per_port or coils.channels))
-        """How many serial lines it has."""
+        """Number of its serial lines."""
         self.wrong_ports: frozenset[int] = frozenset()
-        """The lines on which it answers as another model would."""
+        """Lines on which it answers like another model."""
         self.hot = False
-        """Whether it is too hot to drive: no current flows, and it says so where it can."""
+        """Whether it is too hot to drive: no current flows, and it reports so if it can."""
         self.reset()
 
     @abstractmethod
     def receive(self, port: int, data: bytes, now_s: float) -> bytes:
-        """Take `data` that came in on a `port` at `now_s`; the answer to send back on it."""
+        """Process bytes that arrived on a line and return the answer.
+
+        Parameters
+        ----------
+        port : int
+            Index of the line, from 0.
+        data : bytes
+            Bytes that arrived.
+        now_s : float
+            Present time [s] of the monotonic clock.
+
+        Returns
+        -------
+        bytes
+            Bytes to send back on the line.
+        """
 
     def speak(self, now_s: float) -> bytes:
-        """What the device says by itself at `now_s`, on its first line."""
+        """Return the bytes that the device sends unasked on its first line.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
+
+        Returns
+        -------
+        bytes
+            Bytes; b'' for none.
+        """
         return b''
 
     def due_s(self) -> float:
-        """When it next speaks by itself [s, monotonic]; inf for never."""
+        """Return the time at which it next sends unasked.
+
+        Returns
+        -------
+        float
+            Time [s] of the monotonic clock; inf for never.
+        """
         return math.inf
 
     def reset(self) -> None:
-        """Forget half-received bytes and every setting, as at power-up, with zero currents."""
+        """Discard half-received bytes and every setting, as at power-up, with zero currents."""
         self.coils.zero('reset')

@@ -1,4 +1,4 @@
-"""What can go wrong on a line or in a device, on command and at a set time."""
+"""Faults of a line or a device, on command and at a set time."""
 
 from __future__ import annotations
 
@@ -24,19 +24,34 @@ KINDS: dict[str, tuple[float, str]] = {
     'half_gain': (1.0, 'halve the current of coil VALUE'),
     'unplug': (0.0, 'take the line away'),
 }
-"""Kind of fault → value where none is given, what it does."""
+"""Default value and description of each kind of fault. Choice: defaults that a driver meets within
+seconds."""
 
 _SHARES = {'open': 0.0, 'reversed': -1.0, 'half_gain': 0.5}
-"""Fault of one coil → the share of its current that flows."""
+"""Share of its current that flows, by fault of one coil; the values define the faults."""
 _MOST_COILS = 16
+"""Largest number of a coil, the most that any amplifier drives (`Amplifier.most_channels`)."""
 _BYTE_FAULTS = frozenset({'drop', 'flip', 'double'})
 _SYNTAX = re.compile(r'([a-z_]+)(?:=([\d.]+))?(?:/(\d+))?(?:@([\d.]+))?(?:\+([\d.]+))?')
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of a `kind`, with the `value` that the kind takes, from `start_s` to `end_s` on the
-    monotonic clock; of one serial `line`, counted from 1, or of all (0)."""
+    """A fault of a line or of a device.
+
+    Attributes
+    ----------
+    kind : str
+        Its kind, a key of `KINDS`.
+    value : float
+        Value of the kind.
+    start_s : float
+        Start [s] on the monotonic clock.
+    end_s : float
+        End [s] on the monotonic clock.
+    line : int
+        Number of the serial line, from 1; 0 for all.
+    """
 
     kind: str
     value: float
@@ -46,10 +61,27 @@ class Fault:
 
 
 def parse(text: str, now_s: float) -> Fault:
-    """Return the fault that a `text` `KIND[=VALUE][/LINE][@START][+DURATION]` describes.
+    """Return the fault that a text `KIND[=VALUE][/LINE][@START][+DURATION]` describes.
 
     Times are in seconds from `now_s`. Without LINE, which counts from 1, it is a fault of all
-    lines; without START it begins at once; without DURATION it stays. Raises InputError.
+    lines; without START it begins at once; without DURATION it stays.
+
+    Parameters
+    ----------
+    text : str
+        Description of the fault.
+    now_s : float
+        Present time [s] of the monotonic clock.
+
+    Returns
+    -------
+    Fault
+        The fault.
+
+    Raises
+    ------
+    InputError
+        If the text is not of this form or a value is out of range.
     """
     match = _SYNTAX.fullmatch(text.strip())
     try:
@@ -78,7 +110,13 @@ def _valid(kind: str, value: float) -> bool:
 
 
 class Faults:
-    """The faults of one emulated amplifier, drawn from one seeded source."""
+    """The faults of one emulated amplifier, drawn from one seeded source.
+
+    Parameters
+    ----------
+    faults : list of Fault
+        Planned faults.
+    """
 
     def __init__(self, faults: list[Fault]) -> None:
         self._faults = faults
@@ -86,7 +124,13 @@ class Faults:
         self._random = random.Random(0)
 
     def add(self, fault: Fault) -> None:
-        """Let one more fault happen."""
+        """Add one fault.
+
+        Parameters
+        ----------
+        fault : Fault
+            The fault.
+        """
         self._faults.append(fault)
 
     def clear(self) -> None:
@@ -94,13 +138,37 @@ class Faults:
         self._faults.clear()
 
     def due_s(self, now_s: float) -> float:
-        """When the next fault begins or ends after `now_s` [s]; inf for never."""
+        """Return the time at which the next fault begins or ends.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
+
+        Returns
+        -------
+        float
+            Time [s] after `now_s`; inf for never.
+        """
         moments = (moment_s for fault in self._faults for moment_s in (fault.start_s, fault.end_s))
         return min((moment_s for moment_s in moments if moment_s > now_s), default=math.inf)
 
     def value(self, kind: str, now_s: float, port: int = 0) -> float | None:
-        """The value of a `kind` of fault that the line of a `port`, counted from 0, has at
-        `now_s`; None where it has none.
+        """Return the value of a fault that a line has now.
+
+        Parameters
+        ----------
+        kind : str
+            Kind of the fault.
+        now_s : float
+            Present time [s] of the monotonic clock.
+        port : int
+            Index of the line, from 0.
+
+        Returns
+        -------
+        float or None
+            None if the line has no such fault.
         """
         for fault in self._faults:
             if (fault.kind == kind and fault.line in (0, port + 1)
@@ -109,8 +177,19 @@ class Faults:
         return None
 
     def conducted(self, now_s: float, coils: int) -> tuple[tuple[float, ...], str]:
-        """The share of its current that each of so many `coils` carries at `now_s`, and the fault
-        that says so. A fault of a coil that is not there is none.
+        """Return the share of its current that each coil carries now, and the cause.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
+        coils : int
+            Number of coils. Faults of higher coils are ignored.
+
+        Returns
+        -------
+        tuple[tuple of float, str]
+            Shares (N,) and the kind of the fault that causes them.
         """
         if self.value('over_temperature', now_s) is not None:
             return (0.0,) * coils, 'over_temperature'
@@ -121,14 +200,40 @@ class Faults:
         return tuple(shares), cause
 
     def reset_due(self, now_s: float) -> bool:
-        """Whether a reset has come up by `now_s` that was not reported before."""
+        """Return whether a reset is due that was not reported before.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time [s] of the monotonic clock.
+
+        Returns
+        -------
+        bool
+            Whether one is due.
+        """
         due = {fault for fault in self._faults
                if fault.kind == 'reset' and fault.start_s <= now_s} - self._reset_done
         self._reset_done |= due
         return bool(due)
 
     def damage(self, message: bytes, now_s: float, port: int = 0) -> bytes:
-        """What arrives of a `message` that goes on the line of a `port` at `now_s`."""
+        """Return the bytes that arrive of a message.
+
+        Parameters
+        ----------
+        message : bytes
+            Bytes that are sent.
+        now_s : float
+            Present time [s] of the monotonic clock.
+        port : int
+            Index of the line, from 0.
+
+        Returns
+        -------
+        bytes
+            Bytes that arrive.
+        """
         if not self._faults:
             return message
         cut = self.value('truncate', now_s, port)

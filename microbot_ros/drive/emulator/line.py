@@ -1,4 +1,4 @@
-"""A pseudo-terminal under a name that a host can open, leave and open again."""
+"""Pseudo-terminal under a name that a host can open, close and open again."""
 
 from __future__ import annotations
 
@@ -13,15 +13,23 @@ from microbot_ros.common.errors import InputError
 
 
 class Line:
-    """One end of a serial line; the host opens the other under the name `link`.
+    """Device end of a serial line; the host opens the other end under the name `link`.
 
-    Raises InputError where the link cannot be made.
+    Parameters
+    ----------
+    link : Path
+        Path of the link.
+
+    Raises
+    ------
+    InputError
+        If the link cannot be made.
     """
 
     def __init__(self, link: Path) -> None:
         self.link = link
         self.present = False
-        """Whether a host has the line open, as far as the last look told."""
+        """Whether a host has the line open, as of the last `read`."""
         self._device = ''
         self.master: int | None = None
         if link.exists() and not link.is_symlink():
@@ -34,7 +42,13 @@ class Line:
         return self.master is not None
 
     def plug(self) -> None:
-        """Make the line there to be opened; harmless the second time."""
+        """Create the line; does nothing if it exists.
+
+        Raises
+        ------
+        InputError
+            If the link cannot be made.
+        """
         if self.plugged:
             return
         self.master, slave = pty.openpty()
@@ -51,7 +65,7 @@ class Line:
             raise InputError(self.link, problem) from None
 
     def unplug(self) -> None:
-        """Hang up and remove the link, if it is still this line's; harmless the second time."""
+        """Hang up and remove the link if it is still this line's; does nothing if hung up."""
         if self.master is None:
             return
         if self.link.is_symlink() and os.readlink(self.link) == self._device:
@@ -60,7 +74,13 @@ class Line:
         self.master, self.present = None, False
 
     def read(self) -> bytes:
-        """The bytes that wait, and b'' where there are none; looks whether a host is there."""
+        """Return the waiting bytes, and note whether a host is present.
+
+        Returns
+        -------
+        bytes
+            B'' if there are none.
+        """
         if self.master is None:
             return b''
         poller = select.poll()
@@ -73,7 +93,12 @@ class Line:
             return b''
 
     def write(self, data: bytes) -> None:
-        """Send `data`; what a host does not take, or is not there to take, is lost as on a wire.
+        """Send bytes; bytes that no host accepts are lost, as on a wire.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes to send.
         """
         if self.master is not None and self.present:
             with contextlib.suppress(OSError):

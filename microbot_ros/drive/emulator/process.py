@@ -1,4 +1,4 @@
-"""An emulated amplifier as a process of its own: terminals, log, signals, clean end."""
+"""Emulated amplifier as a process: terminals, log, signals, clean end."""
 
 from __future__ import annotations
 
@@ -30,11 +30,24 @@ DEVICES = {
     'sabertooth': 'microbot_ros.drive.amplifiers.sabertooth.emulated:Controllers',
     'roboteq': 'microbot_ros.drive.amplifiers.roboteq.emulated:Controllers',
 }
-"""Protocol → emulated device, imported only where it is emulated."""
+"""Emulated device by protocol, imported only when it is emulated."""
 
 
 def make_device(protocol: str, coils: Coils) -> Device:
-    """The emulated amplifier that speaks a protocol, driving these coils."""
+    """Return the emulated amplifier that speaks a protocol.
+
+    Parameters
+    ----------
+    protocol : str
+        Name of the protocol.
+    coils : Coils
+        Currents that it drives.
+
+    Returns
+    -------
+    Device
+        The device.
+    """
     module, name = DEVICES[protocol].split(':')
     device: Device = getattr(importlib.import_module(module), name)(coils)
     return device
@@ -42,12 +55,32 @@ def make_device(protocol: str, coils: Coils) -> Device:
 
 def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
         watchdog_s: float | None, faults: list[str], channels: int = 4) -> None:
-    """Emulate until it is to end (`Ending`); then the coils are at zero and the link is gone.
+    """Emulate until a signal or the launcher ends the process (`Ending`).
 
-    `full_scale_A`, `watchdog_s` and the number of `channels` are the device's; `faults` as
-    `parse` reads them. A protocol with several ports gets the links `link`-1, `link`-2 and so on.
-    A fault `-` means that more come on standard input, one a line. Raises InputError for
-    a link or a log that cannot be made and for a fault that is none.
+    At the end the coils are at zero and the link is gone.
+
+    Parameters
+    ----------
+    protocol : str
+        Name of the protocol.
+    link : Path
+        Path of the link. A protocol with several ports uses the links `link`-1, `link`-2 and so
+        on.
+    log : Path or None
+        File of the log; None for none.
+    full_scale_A : float
+        Largest current of the device [A].
+    watchdog_s : float or None
+        Watchdog time of the device [s]; None for no watchdog.
+    faults : list of str
+        Faults as `parse` reads them. `-` means that more arrive on standard input, one per line.
+    channels : int
+        Number of coils N.
+
+    Raises
+    ------
+    InputError
+        If a link or a log cannot be made, or if a fault is invalid.
     """
     started = time.monotonic()
     planned = Faults([parse(text, started) for text in faults if text != '-'])
@@ -69,7 +102,7 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
 
 
 class _Diary(TextIOBase):
-    """A log whose lines a thread writes, in order: a board must not wait for a busy disk."""
+    """Log whose lines a thread writes, in order: a board must not wait for a busy disk."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -101,7 +134,20 @@ def _open_log(log: Path | None) -> TextIO:
 
 
 def links(link: Path, ports: int) -> list[Path]:
-    """The names of the lines of a device of so many `ports` at `link`."""
+    """Return the names of the lines of a device.
+
+    Parameters
+    ----------
+    link : Path
+        Path of the link.
+    ports : int
+        Number of lines.
+
+    Returns
+    -------
+    list of Path
+        One path per line.
+    """
     if ports == 1:
         return [link]
     return [link.with_name(f'{link.name}-{number}') for number in range(1, ports + 1)]

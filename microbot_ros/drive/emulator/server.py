@@ -1,4 +1,4 @@
-"""The loop that serves an emulated amplifier behind its lines, with the faults it is to have."""
+"""Loop that serves an emulated amplifier behind its lines, with its faults."""
 
 from __future__ import annotations
 
@@ -15,30 +15,53 @@ from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
 
 _ABSENT_S = 0.01
-"""While no host has a line open, how often to look whether one has (Linux gives no event)."""
+"""Interval [s] at which a line without host is checked for one (Linux gives no event). Choice: it
+delays the first answer by as much."""
 _IDLE_S = 0.05
+"""Longest wait [s] without an event. Choice: the end of the process is noticed within it."""
 
 
 class DeviceEnd(Protocol):
-    """The device's end of a serial line, of whatever kind."""
+    """Device end of a serial line of any kind."""
 
     def plug(self) -> None:
-        """Make the line there to be opened; harmless the second time."""
+        """Create the line; does nothing if it exists."""
 
     def unplug(self) -> None:
-        """Hang up; harmless the second time."""
+        """Hang up; does nothing if hung up."""
 
     def read(self) -> bytes:
-        """Return the bytes that wait."""
+        """Return the waiting bytes.
+
+        Returns
+        -------
+        bytes
+            B'' if there are none.
+        """
 
     def write(self, data: bytes) -> None:
-        """Send `data`; what no host is there to take is lost."""
+        """Send bytes; bytes that no host accepts are lost.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes to send.
+        """
 
 
 class Emulation:
-    """Moves bytes between hosts, on `lines`, and a `device` with `faults`, whenever it is stepped.
+    """Transfer of bytes between hosts and a device with faults, step by step.
 
-    `clock` returns the time [s] that the faults and the device's coils count in.
+    Parameters
+    ----------
+    device : Device
+        The device.
+    lines : sequence of DeviceEnd
+        Its lines.
+    faults : Faults
+        Its faults.
+    clock : callable
+        Function that returns the time [s] of the faults and of the device's coils.
     """
 
     def __init__(self, device: Device, lines: Sequence[DeviceEnd], faults: Faults,
@@ -50,7 +73,7 @@ class Emulation:
         self._late: list[tuple[float, int, bytes]] = []
 
     def step(self) -> None:
-        """Do all that is due by now."""
+        """Do everything that is due by now."""
         self._apply_faults(self._clock())
         for port, line in enumerate(self._lines):
             if data := line.read():
@@ -65,7 +88,13 @@ class Emulation:
         self._send_late(now)
 
     def due_s(self) -> float:
-        """When there is something to do though no byte comes [s]; inf for never."""
+        """Return the time at which there is something to do even if no byte arrives.
+
+        Returns
+        -------
+        float
+            Time [s]; inf for never.
+        """
         return min((self.device.due_s(), self.device.coils.due_s(),
                     self.faults.due_s(self._clock()), *(due for due, _, _ in self._late)))
 
@@ -103,8 +132,18 @@ class Emulation:
 
 
 class Server:
-    """Serves a device on pseudo-terminals in real time. `commands`, where there is one, is the
-    descriptor of a stream on which faults come in, one a line, while it runs.
+    """Server of a device on pseudo-terminals in real time.
+
+    Parameters
+    ----------
+    device : Device
+        The device.
+    lines : list of Line
+        Its lines.
+    faults : Faults
+        Its faults.
+    commands : int or None
+        Descriptor of a stream on which faults arrive while it runs, one per line; None for none.
     """
 
     def __init__(self, device: Device, lines: list[Line], faults: Faults,
@@ -115,16 +154,21 @@ class Server:
         self._unfinished = b''
 
     def run(self, stopping: Callable[[], bool]) -> None:
-        """Serve until `stopping()`, asked at least every 50 ms."""
+        """Serve until told to stop.
+
+        Parameters
+        ----------
+        stopping : callable
+            Called at least every 50 ms; True stops.
+        """
         while not stopping():
             self._wait()
             self._emulation.step()
 
     def _wait(self) -> None:
-        """Sleep until a byte comes or something is due.
+        """Sleep until a byte arrives or something is due.
 
-        Absent hosts are not waited for: a line that has hung up is always ready, so only its
-        absence is, and that is looked at now and then.
+        A line that has hung up is always ready, so it is not waited for but checked at intervals.
         """
         ready = [line.master for line in self._lines if line.present and line.master is not None]
         idle = _IDLE_S if len(ready) == len(self._lines) else _ABSENT_S

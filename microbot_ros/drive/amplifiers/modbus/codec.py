@@ -1,4 +1,4 @@
-"""The registers of the H-bridges in Modbus RTU frames, which pymodbus builds and checks."""
+"""Registers of the H-bridges in Modbus RTU frames, which pymodbus builds and checks."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from pymodbus.pdu.register_message import (
 )
 
 ENABLE, DUTY_PERCENT, CURRENT_MA = 0, 1, 5
+"""Registers of the bridge (register map of the laboratory's firmware)."""
 TEMPERATURES = range(7, 11)
-"""Registers of the bridge's temperatures, in steps of 0.01 °C."""
+"""Registers of the bridge's temperatures, in steps of 0.01 °C (same register map)."""
 
 # A late answer is nothing for the terminal; who wants to hear of it has a handler of their own.
 logging.getLogger('pymodbus.logging').addHandler(logging.NullHandler())
@@ -27,28 +28,87 @@ Message = TypeVar('Message', bound=ModbusPDU)
 
 
 def read(slave: int, register: int, count: int = 1) -> bytes:
-    """Asks a slave for one register, or for `count` in a row."""
+    """Return the request for one register, or for several in a row.
+
+    Parameters
+    ----------
+    slave : int
+        Number of the slave.
+    register : int
+        Number of the first register.
+    count : int
+        Number of registers.
+
+    Returns
+    -------
+    bytes
+        Bytes of the frame.
+    """
     request = ReadHoldingRegistersRequest(address=register, count=count, dev_id=slave)
     return _framer.buildFrame(request)
 
 
 def write(slave: int, register: int, value: int) -> bytes:
-    """Sets one register of a slave to a signed value, which the slave repeats."""
+    """Return the request that sets one register, which the slave echoes.
+
+    Parameters
+    ----------
+    slave : int
+        Number of the slave.
+    register : int
+        Number of the register.
+    value : int
+        Signed value.
+
+    Returns
+    -------
+    bytes
+        Bytes of the frame.
+    """
     bits = value & 0xFFFF
     return _framer.buildFrame(
         WriteSingleRegisterRequest(address=register, registers=[bits], dev_id=slave))
 
 
 def duty_percent(duty: float) -> int:
-    """A duty of −1 … 1 in the whole percents that the register holds; ValueError outside."""
+    """Return a duty in whole percent, as the register holds it.
+
+    Parameters
+    ----------
+    duty : float
+        Duty from −1 to 1.
+
+    Returns
+    -------
+    int
+        Percent.
+
+    Raises
+    ------
+    ValueError
+        If the duty is outside.
+    """
     if not -1.0 <= duty <= 1.0:
         raise ValueError(f'duty must be −1 … 1; received {duty}')
     return round(100 * duty)
 
 
 def values(slave: int, count: int, received: bytes) -> tuple[int, ...] | None:
-    """The signed values of `count` registers in a slave's answer `received`; None where
-    incomplete, damaged or another's.
+    """Return the signed values of registers in a slave's answer.
+
+    Parameters
+    ----------
+    slave : int
+        Number of the slave.
+    count : int
+        Number of registers.
+    received : bytes
+        Bytes that arrived so far.
+
+    Returns
+    -------
+    tuple of int or None
+        None if the answer is incomplete, damaged or of another slave.
     """
     message = _message(slave, received, ReadHoldingRegistersResponse)
     if message is None or len(message.registers) != count:
@@ -57,7 +117,22 @@ def values(slave: int, count: int, received: bytes) -> tuple[int, ...] | None:
 
 
 def written(slave: int, request: bytes, received: bytes) -> bool | None:
-    """True where a slave repeated the request in `received`; None otherwise."""
+    """Return whether a slave echoed a request.
+
+    Parameters
+    ----------
+    slave : int
+        Number of the slave.
+    request : bytes
+        Bytes of the request.
+    received : bytes
+        Bytes that arrived so far.
+
+    Returns
+    -------
+    bool or None
+        True if echoed, else None.
+    """
     message = _message(slave, received, WriteSingleRegisterResponse)
     return True if message is not None and received == request else None
 

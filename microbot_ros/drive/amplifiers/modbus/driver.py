@@ -1,6 +1,6 @@
 """Driver for Modbus RTU H-bridges, slaves 1, 2, … on one line.
 
-The bridges have no watchdog: when the host dies they keep their last duty.
+The bridges have no watchdog: if the host dies they keep their last duty.
 """
 
 from __future__ import annotations
@@ -14,21 +14,25 @@ from microbot_ros.drive.amplifiers.modbus import codec
 from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 
 EVERY_SLAVE = 0
-"""Takes what all slaves are to obey and none answers (Modbus over serial line, 2.1)."""
+"""Address of requests that all slaves obey and none answers (Modbus over serial line, 2.1)."""
 _HOTTEST_C = 85.0
-"""What electronics of the industrial grade are made for."""
+"""Highest temperature [°C] of industrial-grade electronics (their usual specification)."""
 
 
 class ModbusAmplifier(PolledAmplifier):
-    """Duty −1 … 1, in steps of 1 %, is ± `full_scale_A` of each coil."""
+    """Amplifier whose duty −1 … 1, in steps of 1 %, is ± `full_scale_A` of each coil."""
 
     share_a_line = True
     baud = 1_000_000
+    """Rate of the line [1/s], that of the laboratory's firmware."""
     gap_s = 0.002
+    """Silence [s] that ends a request: the 1.75 ms of the standard (Modbus over serial line,
+    2.5.1.1), with room."""
     resolution_A = 0.001
+    """Step of the reported currents [A], that of the register: 1 mA."""
 
     def _identify(self, device: int) -> Talk[None]:
-        """Set the duty to 0: a bridge has no register that says what it is."""
+        """Set the duty to 0, as a bridge has no register that identifies it."""
         yield self._set(device, codec.DUTY_PERCENT, 0)
 
     def _enable(self, device: int) -> Talk[None]:

@@ -19,15 +19,22 @@ from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.device import Device
 
 _GAP_S = 0.00175
-"""Above 19 200 baud a silence of 1.75 ms ends a frame (Modbus over serial line, 2.5.1.1)."""
+"""Silence [s] that ends a frame above 19 200 baud (Modbus over serial line, 2.5.1.1)."""
 _REGISTERS = 11
+"""Number of registers, up to the last temperature (register map of the firmware)."""
 _COOL, _HOT = 3500, 9500
+"""Temperatures in steps of 0.01 °C. Choice: 35 °C, and 95 °C, above the driver's limit."""
 _ILLEGAL_ADDRESS = 2
+"""Exception code 2, illegal data address (Modbus application protocol, 7)."""
 
 
 class Bridges(Device):
-    """Bridges for `coils`: registers 0 enable, 1 duty, 5 current, 7 to 10 temperatures; no
-    watchdog.
+    """Bridges with registers 0 enable, 1 duty, 5 current, 7 to 10 temperatures; no watchdog.
+
+    Parameters
+    ----------
+    coils : Coils
+        Currents that they drive.
     """
 
     def __init__(self, coils: Coils) -> None:

@@ -1,4 +1,7 @@
-"""Driver for RoboClaw controllers on one line: coils 1 and 2 at 0x80, 3 and 4 at 0x81, …"""
+"""Driver for RoboClaw controllers on one line, with two coils each.
+
+Coils 1 and 2 are at address 0x80, 3 and 4 at 0x81, and so on.
+"""
 
 from __future__ import annotations
 
@@ -14,21 +17,28 @@ from microbot_ros.drive.errors import WrongDeviceError
 from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 
 ADDRESSES = range(0x80, 0x88)
-"""Of the controllers; each has two channels."""
+"""Addresses of the controllers, each of which has two channels (user manual)."""
 _WATCHDOG_S = 0.1
+"""Timeout of the controllers [s]. Choice: the shortest they have, which is twice the refresh of
+commands."""
 _MODEL = 'roboclaw'
 _HOTTEST_C = 85.0
-"""Above this the controller gives less current than it is told (user manual, temperature
-limits)."""
+"""Temperature [°C] above which the controller gives less current than commanded (user manual,
+temperature limits)."""
 
 
 class RoboclawAmplifier(PolledAmplifier):
-    """Duty −1 … 1 is ± `full_scale_A` of each coil; the controllers' own timeout is armed."""
+    """Controllers whose duty −1 … 1 is ± `full_scale_A` of each coil.
+
+    The driver arms their own timeout.
+    """
 
     watchdog = Watchdog.ARMED
     channels_per_device = 2
+    """Channels of a controller (user manual)."""
     share_a_line = True
     resolution_A = 0.01
+    """Step of the reported currents [A], `codec.CURRENT_STEP_A`."""
 
     def _identify(self, device: int) -> Talk[None]:
         name = yield self._query(codec.ask_version(ADDRESSES[device]), codec.version, 'a version')

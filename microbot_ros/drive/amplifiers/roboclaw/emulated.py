@@ -10,16 +10,21 @@ from microbot_ros.drive.amplifiers.roboclaw.driver import ADDRESSES
 from microbot_ros.drive.emulator.device import Device
 
 _GAP_S = 0.01
-_COOL, _HOT = 350, 1005  # steps of 0.1 °C; at 100 °C it switches its outputs off
+"""Gap [s] that discards a packet (user manual, packet serial)."""
+_COOL, _HOT = 350, 1005
+"""Temperatures in steps of 0.1 °C. Choice: 35 °C, and 100.5 °C, as outputs switch off at 100
+°C."""
 _LENGTHS = {codec.SET_TIMEOUT: 5, codec.GET_TIMEOUT: 2, codec.GET_VERSION: 2, codec.DRIVE: 8,
             codec.GET_CURRENTS: 2, codec.GET_TEMPERATURE: 2}
-"""Command → bytes of a whole packet; questions are address and command only."""
+"""Length of a whole packet [bytes] by command (user manual); questions are address and command
+only."""
 
 
 class Controllers(Device):
-    """Takes packets that come without a gap of 10 ms; a timeout of 0, as at power-up, is none.
+    """Controllers that accept packets without a gap of 10 ms.
 
-    Any good packet feeds the timeout, which is one for both here: the driver sets them alike.
+    A timeout of 0, as at power-up, is none. Any good packet feeds the timeout. All controllers
+    have one timeout here, as the driver sets them alike.
     """
 
     def reset(self) -> None:

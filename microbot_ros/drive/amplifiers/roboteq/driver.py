@@ -1,4 +1,7 @@
-"""Driver for Roboteq controllers: coils 1 and 2 on the first line, 3 and 4 on the second, …"""
+"""Driver for Roboteq controllers, with two coils each.
+
+Coils 1 and 2 are on the first line, 3 and 4 on the second, and so on.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,20 @@ from microbot_ros.drive.errors import WrongDeviceError
 from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 
 _WATCHDOG_MS = 100
+"""Watchdog time [ms]. Choice: twice the refresh of commands (40 ms) fits in it; shorter would zero
+coils when this machine is busy."""
 _MODEL = 'Roboteq'
 
 
 class RoboteqAmplifier(PolledAmplifier):
-    """Command −1000 … 1000 is ± `full_scale_A` of each coil; the controllers' watchdog is armed.
+    """Controllers whose command −1000 … 1000 is ± `full_scale_A` of each coil.
 
-    They report currents in steps of 0.1 A.
+    The driver arms their watchdog. They report currents in steps of 0.1 A.
     """
 
     watchdog = Watchdog.ARMED
     channels_per_device = 2
+    """Channels of a controller (user manual)."""
     resolution_A = codec.CURRENT_STEP_A
 
     def _identify(self, device: int) -> Talk[None]:

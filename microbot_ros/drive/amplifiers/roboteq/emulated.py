@@ -9,15 +9,18 @@ from microbot_ros.drive.emulator.device import Device
 
 _COMMAND = re.compile(r'!G ([12]) (-?\d{1,4})')
 _POWER_UP_WATCHDOG_MS = 1000
+"""Watchdog time at power-up [ms] (user manual, RWD)."""
 
 
 class Controllers(Device):
-    """Only `!` commands feed the watchdog, and after it fires the next one drives again.
+    """Controllers of which only `!` commands feed the watchdog.
 
-    The watchdog is one for both controllers here: the driver sets them alike.
+    After it fires the next command drives again. Both controllers have one watchdog here, as the
+    driver sets them alike.
     """
 
     channels_per_port = 2
+    """Channels of a controller (user manual)."""
 
     def reset(self) -> None:
         super().reset()

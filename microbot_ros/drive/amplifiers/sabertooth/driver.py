@@ -1,6 +1,7 @@
-"""Driver for Sabertooth controllers on one line: coils 1 and 2 at 0x80, 3 and 4 at 0x81, …
+"""Driver for Sabertooth controllers on one line, with two coils each.
 
-Nothing comes back from them, neither currents nor a yes: what they do is what they are trusted to.
+Coils 1 and 2 are at address 0x80, 3 and 4 at 0x81, and so on. The controllers send nothing,
+neither currents nor acknowledgements: their state cannot be checked.
 """
 
 from __future__ import annotations
@@ -15,21 +16,33 @@ from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Watchdog, Ze
 from microbot_ros.drive.amplifiers.sabertooth import codec
 
 ADDRESSES = range(0x80, 0x88)
-"""Of the controllers; each has two channels."""
+"""Addresses of the controllers, each of which has two channels (user manual)."""
 _BAUD = 9_600  # from the factory
 _BYTE_S = 10 / _BAUD
+"""Time of a byte on the line [s]: 10 bits (8N1)."""
 _LATEST_S = 0.07
-"""How late the next packet may come after one has gone out, with room for a busy machine."""
+"""Longest time [s] until the next packet after one was sent. Choice: the refresh of commands (40
+ms), with room for a busy machine."""
 
 
 class SabertoothAmplifier(Amplifier):
-    """Duty −1 … 1 is ± `full_scale_A` of each of so many `channels` on the line `url`.
+    """Controllers whose duty −1 … 1 is ± `full_scale_A` of each coil.
 
-    That is the supply's voltage over the coil's resistance, cold or hot, which nobody measures.
+    The full scale is the supply's voltage over the coil's resistance, cold or hot, and is not
+    measured.
 
-    A controller forgets its timeout when it loses power and cannot be asked for it, so one of
-    them is told it again with every command. At 9600 baud the commands of four coils take 21 ms:
-    the newest goes out when the line has taken the one before.
+    A controller forgets its timeout when it loses power and cannot be asked for it, so every
+    command repeats it to one of them. At 9600 baud the commands of four coils take 21 ms: the
+    newest is sent when the line has transmitted the one before.
+
+    Parameters
+    ----------
+    url : str
+        Device name or pyserial URL of the port.
+    full_scale_A : float or sequence of float
+        Current of each coil at full output [A]; a scalar applies to all coils.
+    channels : int
+        Number of coils N.
     """
 
     watchdog = Watchdog.UNCONFIRMED
@@ -43,7 +56,7 @@ class SabertoothAmplifier(Amplifier):
         self.sample_s = _BYTE_S * (len(self._zeros()[0]) + codec.PACKET_BYTES)
         steps = -(-(self.sample_s + _LATEST_S) // codec.TIMEOUT_STEP_S)
         self.timeout_s = float(steps * codec.TIMEOUT_STEP_S)
-        """After which the controllers are told to stop without a packet."""
+        """Time [s] without a packet after which the controllers stop."""
         self._order: Command | None  # the newest, until it goes out
         self._flowing: bool
         self._free_s: float  # when the line has taken all
@@ -72,7 +85,7 @@ class SabertoothAmplifier(Amplifier):
         self.counters.frames_sent += 1
 
     def _receive(self, timeout_s: float) -> list[tuple[float, float, np.ndarray]]:
-        """Nothing ever; meanwhile what waits goes out as soon as the line is free."""
+        """Return no readings; send the waiting command as soon as the line is free."""
         self._require_lines()
         until_s = self.clock.now() + timeout_s
         while not self._woken.is_set() and (now := self.clock.now()) < until_s:

@@ -10,13 +10,15 @@ from microbot_ros.drive.emulator.device import Device
 
 _MOTOR_COMMANDS = {forward + back: (motor, -1.0 if back else 1.0)
                    for motor, forward in enumerate(codec.MOTORS) for back in (0, 1)}
+"""Motor and sign by command; all values are from the codec."""
 
 
 class Controllers(Device):
-    """Takes packets with a right checksum, whatever lies between them, and never answers.
+    """Controllers that accept packets with a correct checksum and never answer.
 
-    Any good packet feeds the timeout, which is one for all here: the driver sets them alike. At
-    power-up there is none. Another model takes no notice of any.
+    Other bytes may lie between the packets. Any good packet feeds the timeout. All controllers
+    have one timeout here, as the driver sets them alike; at power-up there is none. Another model
+    ignores all packets.
     """
 
     def reset(self) -> None:

@@ -1,6 +1,6 @@
 """Driver for Kepco BOP supplies in current mode, one serial line for each coil.
 
-The supply has no watchdog: when the host dies it keeps its last current.
+The supply has no watchdog: if the host dies it keeps its last current.
 """
 
 from __future__ import annotations
@@ -15,21 +15,28 @@ from microbot_ros.drive.errors import WrongDeviceError
 from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 
 _MAKER = 'KEPCO'
-_LIMIT_AGREES = 1e-2  # supplies answer with three digits
+_LIMIT_AGREES = 1e-2
+"""Largest relative deviation of the protection limit that is read back: supplies answer with three
+digits (manual)."""
 _LONG_LINE_S = 0.06
-"""How long the 53 characters that configure a supply take at 9600 baud."""
+"""Time [s] that the 53 characters that configure a supply take at 9600 baud: 53 × 10 / 9600 =
+0.055."""
 
 
 class ScpiAmplifier(PolledAmplifier):
-    """A supply a coil; `full_scale_A` becomes their own protection limit."""
+    """One supply per coil; `full_scale_A` becomes the supplies' own protection limit."""
 
     baud = 9_600
+    """Rate of the line [1/s], the supply's default (manual)."""
     xon_xoff = True
     queues = True  # 1 ms a character
     zero_again = codec.line(codec.current(0.0))
     period_s = 0.05
+    """Longest interval [s] between questions for currents. A command, a question and an answer
+    take 44 ms."""
     reply_s = 0.08
-    """A current and a question are 28 characters, the answer 14; two attempts stay below 0.2 s."""
+    """Longest time [s] until an answer. A current and a question are 28 characters, the answer 14;
+    two attempts stay below 0.2 s."""
 
     def _identify(self, device: int) -> Talk[None]:
         yield Exchange(codec.CLEAR_INPUT)

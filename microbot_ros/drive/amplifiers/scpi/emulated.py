@@ -6,15 +6,21 @@ from microbot_ros.drive.amplifiers.scpi import codec
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.device import Device
 
-_OVERTEMPERATURE = 8  # of the BIT 232 interface
+_OVERTEMPERATURE = 8
+"""Bit 3 of the questionable condition in the BIT 232 interface (Kepco's manual)."""
 
 
 class Supplies(Device):
-    """Supplies of `coils`, one a line: outputs off at power-up, no watchdog whatever the host
-    does.
+    """Supplies, one per line: outputs off at power-up, no watchdog whatever the host requests.
+
+    Parameters
+    ----------
+    coils : Coils
+        Currents that they drive.
     """
 
     channels_per_port = 1
+    """One supply on each line (the rig's wiring)."""
 
     def __init__(self, coils: Coils) -> None:
         coils.watchdog_s = None

@@ -2,11 +2,11 @@
 
     7E · id · overhead · length · payload · CRC-8 · 81
 
-Only 7E is stuffed: `overhead` is the index of the first 7E in the payload (FF: there is none),
-and each 7E is replaced by the distance to the next, the last by 0. The CRC, polynomial 0x9B and
-initial value 0, covers the stuffed payload and nothing else, so the decoder also insists on the
-ids and the payload length of its direction and on a chain of stuffed bytes that holds together:
-what it accepts is byte for byte what `encode` would have sent.
+Only 7E is stuffed: `overhead` is the index of the first 7E in the payload (FF: there is none), and
+each 7E is replaced by the distance to the next, the last by 0. The CRC, polynomial 0x9B and
+initial value 0, covers the stuffed payload and nothing else. Therefore the decoder also requires
+the ids and the payload length of its direction and a consistent chain of stuffed bytes: each
+packet that it accepts is byte for byte what `encode` would have sent.
 """
 
 from __future__ import annotations
@@ -16,19 +16,26 @@ import struct
 from collections.abc import Collection, Sequence
 
 START, END = 0x7E, 0x81
+"""First and last byte of a packet (SerialTransfer library)."""
 PACKET_ID, TURN_ID = 0x00, 0x01
+"""Ids of packets: 0 is the library's default, 1 is that of rotating duties in the reference
+firmware."""
 NOTHING_STUFFED = 0xFF
+"""Overhead of a payload without 7E (SerialTransfer library)."""
 MAX_PAYLOAD = 254
+"""Longest payload [bytes] (SerialTransfer library)."""
 STALL_S = 0.05
-"""A packet that pauses for longer is dropped, as the microcontroller's library does."""
+"""Pause [s] after which a packet is dropped, as in the microcontroller's library."""
 
 _HEADER, _TRAILER = 4, 2
+"""Bytes before and after the payload (SerialTransfer library)."""
 _COMMAND = struct.Struct('<17f')
-_TURN = struct.Struct('<18hf28x')  # as long as a command
-_WHOLE = 32767  # a duty of 1 among what turns
+_TURN = struct.Struct('<18hf28x')  # as long as a command, by definition of the reference firmware
+_WHOLE = 32767  # a duty of 1 among rotating ones: the largest int16
 _MEASUREMENT = struct.Struct('<6f')
-_FIRST_DUTY = 11  # after amplitude, B, angles, frequency, psi, gradient and the two modes
+_FIRST_DUTY = 11  # by the firmware: after amplitude, B, angles, frequency, psi, gradient, 2 modes
 COILS = 6
+"""Number of coils that a board drives (firmware)."""
 
 
 def _crc_table() -> bytes:
@@ -44,7 +51,18 @@ _CRC_TABLE = _crc_table()
 
 
 def crc8(data: bytes) -> int:
-    """CRC-8 of `data` with polynomial 0x9B, initial value 0, not reflected."""
+    """Return the CRC-8 with polynomial 0x9B, initial value 0, not reflected.
+
+    Parameters
+    ----------
+    data : bytes
+        Bytes.
+
+    Returns
+    -------
+    int
+        The CRC.
+    """
     crc = 0
     for byte in data:
         crc = _CRC_TABLE[crc ^ byte]
@@ -52,8 +70,24 @@ def crc8(data: bytes) -> int:
 
 
 def encode(payload: bytes, packet_id: int = PACKET_ID) -> bytes:
-    """The packet of a `packet_id` that carries a `payload` of 1 to 254 bytes; ValueError for any
-    other length.
+    """Return the packet that carries a payload.
+
+    Parameters
+    ----------
+    payload : bytes
+        1 to 254 bytes.
+    packet_id : int
+        Id of the packet.
+
+    Returns
+    -------
+    bytes
+        Bytes of the packet.
+
+    Raises
+    ------
+    ValueError
+        If the payload has any other length.
     """
     if not 1 <= len(payload) <= MAX_PAYLOAD:
         raise ValueError(f'payload must be 1 to {MAX_PAYLOAD} bytes; received {len(payload)}')
@@ -68,7 +102,7 @@ def encode(payload: bytes, packet_id: int = PACKET_ID) -> bytes:
 
 
 def _unstuff(stuffed: bytes, overhead: int) -> bytes | None:
-    """The payload as it was before stuffing; None where the chain leaves it or a 7E is bare."""
+    """Return the payload before stuffing; None if the chain leaves it or a bare 7E remains."""
     payload = bytearray(stuffed)
     index = overhead
     while index != NOTHING_STUFFED:
@@ -81,19 +115,24 @@ def _unstuff(stuffed: bytes, overhead: int) -> bytes | None:
 
 
 class Decoder:
-    """Turns bytes as they come into payloads of `payload_length`, and never passes a bad one.
+    """Decoder of bytes, as they arrive, into payloads; it never passes a bad payload.
 
-    `ids` are those of the packets that there are.
-
-    After damage it looks for the next start byte right behind the last one it believed, so a
+    After damage it looks for the next start byte directly behind the last one it accepted, so a
     good packet is never lost with a bad one in front of it.
+
+    Parameters
+    ----------
+    payload_length : int
+        Length of a payload [bytes].
+    ids : collection of int
+        Ids of the packets that occur.
     """
 
     def __init__(self, payload_length: int, ids: Collection[int] = (PACKET_ID,)) -> None:
         self.crc_errors = 0
-        """Packets with both end marks in place and a wrong CRC."""
+        """Number of packets with both end marks in place and a wrong CRC."""
         self.discarded_bytes = 0
-        """Bytes that were part of no good packet: noise, another protocol, damage."""
+        """Number of bytes that were part of no good packet: noise, another protocol, damage."""
         self._length = payload_length
         self._header = (
             {*ids}, {*range(payload_length), NOTHING_STUFFED}, {payload_length})
@@ -101,12 +140,36 @@ class Decoder:
         self._last_byte_s = -math.inf
 
     def feed(self, data: bytes, now_s: float) -> list[bytes]:
-        """The payloads completed by `data`, which arrived at `now_s` on the monotonic clock."""
+        """Return the payloads that new bytes complete.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes that arrived at `now_s`.
+        now_s : float
+            Present time [s] of the monotonic clock.
+
+        Returns
+        -------
+        list of bytes
+            Payloads in order of arrival.
+        """
         return [payload for _, payload in self.feed_packets(data, now_s)]
 
     def feed_packets(self, data: bytes, now_s: float) -> list[tuple[int, bytes]]:
-        """The payloads completed by `data`, which arrived at `now_s` [s], after the ids of their
-        packets.
+        """Return the payloads that new bytes complete, with the ids of their packets.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes that arrived at `now_s`.
+        now_s : float
+            Present time [s] of the monotonic clock.
+
+        Returns
+        -------
+        list of tuple[int, bytes]
+            Id and payload of each packet in order of arrival.
         """
         payloads: list[tuple[int, bytes]] = []
         if self._pending and now_s - self._last_byte_s > STALL_S:
@@ -120,7 +183,7 @@ class Decoder:
         return payloads
 
     def _take(self, payloads: list[tuple[int, bytes]]) -> None:
-        """Move every complete payload out of the pending bytes; what may yet be one stays."""
+        """Move every complete payload out of the pending bytes; possible beginnings remain."""
         pending, size = self._pending, _HEADER + self._length + _TRAILER
         while (start := pending.find(START)) >= 0:
             self._discard(start)
@@ -140,7 +203,7 @@ class Decoder:
         del self._pending[:count]
 
     def _may_start_a_packet(self) -> bool:
-        """Whether the pending bytes agree with a header, as far as they go."""
+        """Return whether the pending bytes agree with a header, as far as they go."""
         header = self._pending[1:_HEADER]
         return all(byte in allowed for byte, allowed in zip(header, self._header, strict=False))
 
@@ -157,10 +220,22 @@ MEASUREMENT_BYTES = _MEASUREMENT.size
 
 
 def command(duties: Sequence[float]) -> bytes:
-    """The payload that sets the duties of coils 1, 2, … (−1 to 1); all other fields are zero.
+    """Return the payload that sets the duties of coils 1, 2, …; all other fields are zero.
 
-    Raises ValueError for a duty that is not between −1 and 1, NaN included, before a byte of it
-    exists.
+    Parameters
+    ----------
+    duties : sequence of float
+        Up to six duties from −1 to 1.
+
+    Returns
+    -------
+    bytes
+        The payload.
+
+    Raises
+    ------
+    ValueError
+        If a duty is not between −1 and 1, NaN included, or if there are too many.
     """
     if len(duties) > COILS or not all(-1.0 <= duty <= 1.0 for duty in duties):
         raise ValueError(f'duties must be up to {COILS} values in −1 … 1; received {duties}')
@@ -169,17 +244,43 @@ def command(duties: Sequence[float]) -> bytes:
 
 
 def duties(payload: bytes) -> tuple[float, ...] | None:
-    """The six duties of a command's `payload`; None where one is not between −1 and 1, as NaN."""
+    """Return the six duties of a command's payload.
+
+    Parameters
+    ----------
+    payload : bytes
+        The payload.
+
+    Returns
+    -------
+    tuple of float or None
+        None if a duty is not between −1 and 1, such as NaN.
+    """
     values = _COMMAND.unpack(payload)[_FIRST_DUTY:]
     return values if all(-1.0 <= value <= 1.0 for value in values) else None
 
 
 def turn(parts: Sequence[Sequence[float]], rate: float) -> bytes:
-    """The payload of duties that turn: at t after it comes a + b cos t·`rate` + c sin t·`rate`.
+    """Return the payload of duties that rotate: a + b cos t·`rate` + c sin t·`rate`.
 
-    The `parts` are a, b and c, each for coils 1, 2, … as in `command`; `rate` is in rad/s. Only
-    boards with the reference firmware know it. ValueError for parts that together leave −1 … 1 on
-    the way, and for a rate that is not finite.
+    The time t [s] counts from the packet. Only boards with the reference firmware understand it.
+
+    Parameters
+    ----------
+    parts : sequence of sequence of float
+        A, b and c, each for coils 1, 2, … as in `command`.
+    rate : float
+        Angular velocity [rad/s].
+
+    Returns
+    -------
+    bytes
+        The payload.
+
+    Raises
+    ------
+    ValueError
+        If the duties leave −1 … 1 at any time, or if the rate is not finite.
     """
     if len(parts[0]) > COILS or not (_within(parts, 1.0) and math.isfinite(rate)):
         raise ValueError(f'duties must be up to {COILS} values that stay in −1 … 1, and a finite '
@@ -194,9 +295,18 @@ def _within(parts: Sequence[Sequence[float]], bound: float) -> bool:
 
 
 def turning(payload: bytes) -> tuple[list[tuple[float, ...]], float] | None:
-    """Steady, cosine and sine part of the six duties in a `payload`, and the rate [rad/s].
+    """Return the rotating duties of a payload and their rate.
 
-    None where they leave −1 … 1 on the way or the rate is not finite.
+    Parameters
+    ----------
+    payload : bytes
+        The payload.
+
+    Returns
+    -------
+    tuple[list of tuple of float, float] or None
+        Constant, cosine and sine part of the six duties, and the rate [rad/s]. None if they leave
+        −1 … 1 at any time or the rate is not finite.
     """
     *steps, rate = _TURN.unpack(payload)
     parts = [tuple(step / _WHOLE for step in steps[k:k + COILS]) for k in range(0, 18, COILS)]
@@ -205,10 +315,32 @@ def turning(payload: bytes) -> tuple[list[tuple[float, ...]], float] | None:
 
 
 def measurement(currents_A: Sequence[float]) -> bytes:
-    """The payload with which a board reports `currents_A` (6,) [A]."""
+    """Return the payload with which a board reports its currents.
+
+    Parameters
+    ----------
+    currents_A : sequence of float, shape (6,)
+        Current of each coil [A].
+
+    Returns
+    -------
+    bytes
+        The payload.
+    """
     return _MEASUREMENT.pack(*currents_A)
 
 
 def currents(payload: bytes) -> tuple[float, ...]:
-    """The six currents [A] of a measurement's `payload`, as they came: perhaps not finite."""
+    """Return the six currents of a measurement's payload.
+
+    Parameters
+    ----------
+    payload : bytes
+        The payload.
+
+    Returns
+    -------
+    tuple of float, shape (6,)
+        Currents [A] as they arrived, possibly not finite.
+    """
     return _MEASUREMENT.unpack(payload)

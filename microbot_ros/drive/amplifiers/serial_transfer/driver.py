@@ -1,4 +1,4 @@
-"""Driver for coil boards that speak SerialTransfer and report their currents by themselves."""
+"""Driver for coil boards that speak SerialTransfer and report their currents unasked."""
 
 from __future__ import annotations
 
@@ -11,26 +11,47 @@ from microbot_ros.drive.amplifiers.serial_transfer import codec
 from microbot_ros.drive.errors import NoAnswerError, WrongDeviceError
 
 _EXPECTED = 'SerialTransfer packets of six measured currents'
-_RUNNING_S = 0.035  # two periods: longer than a board that opening the port resets lives on
-_BITS, _ROOM = 10, 1.25  # of a byte on the line; a quarter of it stays free
+_RUNNING_S = 0.035
+"""Time [s] that packets must keep coming: two periods of 50 Hz less a margin, longer than a board
+that opening the port resets continues to send."""
+_BITS, _ROOM = 10, 1.25
+"""Bits per byte on the line (8N1), and the factor that keeps a fifth of its capacity free
+(choice)."""
 _PACKET_BYTES = len(codec.encode(codec.command([])))
-_STRAY = 0.1  # of full scale: more than the noise of a sense line
-_PLAUSIBLE = 2.0  # a reading beyond this part of full scale is damage that the CRC-8 let through
+_STRAY = 0.1
+"""Current of an unused coil, as a part of full scale, above which it is a fault. Choice: more than
+the noise of a sense line."""
+_PLAUSIBLE = 2.0
+"""Reading, as a part of full scale, beyond which it counts as damage that the CRC-8 missed.
+Choice: twice what the board can give."""
 
 
 class SerialTransferAmplifier(Amplifier):
-    """A coil board on the serial line `url` at `baud`; duty −1 … 1 is ± `full_scale_A` of each of
-    up to six `channels`.
+    """Coil board whose duty −1 … 1 is ± `full_scale_A` of each of up to six coils.
 
-    Opening the port resets an Arduino, which takes 2 s to boot; others run on. The driver is
-    connected when packets have kept coming, and gives up after `boot_s`. The watchdog is the
-    firmware's own; this protocol has no message to arm one.
+    Opening the port resets an Arduino, which takes 2 s to boot; other boards keep running. The
+    driver is connected when packets have kept coming. The watchdog belongs to the firmware; this
+    protocol has no message to arm one.
+
+    Parameters
+    ----------
+    url : str
+        Device name or pyserial URL of the port.
+    full_scale_A : float or sequence of float
+        Current of each coil at full output [A]; a scalar applies to all coils.
+    channels : int
+        Number of coils N.
+    baud : int
+        Rate of the line [1/s].
+    boot_s : float
+        Time [s] after which connecting fails.
     """
 
     watchdog = Watchdog.FIRMWARE
     report_age_s = 0.025
-    """A packet on the line (1 ms), held back by a USB adapter (16 ms from the factory), and room
-    for a busy machine: a board reports by itself, of whatever it had then."""
+    """Longest age of a report [s]: a packet on the line (1 ms), the delay of a USB adapter (16 ms
+    by default), and room for a busy machine. A board reports unasked, with the values of that
+    time."""
     can_swing = True
 
     most_channels = codec.COILS
@@ -100,7 +121,7 @@ class SerialTransferAmplifier(Amplifier):
         return readings
 
     def _stray(self, currents_A: np.ndarray) -> str:
-        """What is wrong with the coils that are never driven; '' for nothing."""
+        """Return the fault of coils that are never driven; '' for none."""
         stray = [f'spare channel {1 + self.channels + index} carries {current:.2g} A; no coil is '
                  'configured on it'
                  for index, current in enumerate(currents_A.tolist())

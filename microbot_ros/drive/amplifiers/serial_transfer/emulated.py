@@ -1,4 +1,4 @@
-"""The emulated coil board: SerialTransfer in, currents at 50 Hz and after every command out."""
+"""Emulated coil board: SerialTransfer in, currents out at 50 Hz and after every command."""
 
 from __future__ import annotations
 
@@ -10,17 +10,24 @@ from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.device import Device
 
 _PERIOD_S, _TICK_S = 0.02, 1.024e-3
+"""Period of reports (laboratory's firmware) and step of rotating duties (reference firmware)
+[s]."""
 _Turning = tuple[list[tuple[float, ...]], float]
 
 
 class Board(Device):
-    """Decodes duties, holds the currents they mean, reports six measured, for `coils`.
+    """Board that decodes duties, holds their currents and reports six measured ones.
 
-    Duties that turn go on in steps of a millisecond, as the reference firmware's do.
-    It reports at 50 Hz whatever happens, as the laboratory's firmware does, and besides at once
-    after each command it accepts, so that a host can time the acknowledgement. A packet with a
-    duty that is not within −1 … 1, or with one for a coil that this board has not, is not a
-    command: it changes nothing and feeds no watchdog.
+    Rotating duties proceed in steps of a millisecond, as in the reference firmware. It reports at
+    50 Hz in any case, as the laboratory's firmware does, and in addition immediately after each
+    accepted command, so that a host can time the acknowledgement. A packet with a duty outside −1
+    … 1, or with a duty for a coil that this board does not have, is not a command: it changes
+    nothing and feeds no watchdog.
+
+    Parameters
+    ----------
+    coils : Coils
+        Currents that it drives.
     """
 
     def __init__(self, coils: Coils) -> None:
@@ -57,7 +64,7 @@ class Board(Device):
         return self._set(self._turned(turning, now_s))
 
     def _turned(self, turning: _Turning, now_s: float) -> list[float]:
-        """The six duties of what turns."""
+        """Return the six duties of the rotation at `now_s`."""
         parts, rate = turning
         angle = rate * (now_s - self._turned_s)
         return [steady + cosine * math.cos(angle) + sine * math.sin(angle)
