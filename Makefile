@@ -87,7 +87,7 @@ $(FOREIGN)/.ready: bench/foreign/requirements.txt
 
 # The documents as HTML, in out/docs; what is made from the code is made anew.
 docs: $(VENV)/.development
-	@$(BIN)/python docs/build.py
+	@$(BIN)/python docs/build.py --notebooks
 	@$(BIN)/python -m sphinx --quiet --fail-on-warning docs out/docs
 	@echo 'out/docs/index.html'
 

@@ -66,7 +66,7 @@ class _Timed(Swarm):
     def compute(self, inputs: ControllerInput) -> FieldCommand:
         begun = time.thread_time()
         command = super().compute(inputs)
-        if command.progress.message == 'looks for ways':
+        if command.progress.message == 'planning paths':
             self.planned += time.thread_time() - begun
         return command
 

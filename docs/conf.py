@@ -15,7 +15,8 @@ project = 'microbot_ros'
 author = copyright = 'microbot_ros maintainers'  # noqa: A001 - Sphinx's word
 release = version = microbot_ros.__version__
 
-extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
+extensions = [
+    'myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.autosummary', 'sphinx.ext.napoleon']
 napoleon_google_docstring = False
 napoleon_use_ivar = True  # autodoc lists the fields of dataclasses itself
 myst_enable_extensions = ['colon_fence']
@@ -36,6 +37,7 @@ html_static_path = ['_static']
 html_css_files = ['width.css']
 
 autodoc_member_order = 'bysource'
+autosummary_generate = False  # the tables lead to the sections below them
 autodoc_default_options = {'members': True, 'ignore-module-all': True}
 # What drives cameras and policies need not be there to read what a room offers.
 autodoc_mock_imports = ['gi', 'pymmcore', 'pypylon', 'onnxruntime']
@@ -49,13 +51,14 @@ def setup(app: Sphinx) -> None:
 def _write_rooms() -> None:
     package = Path(microbot_ros.__file__).parent
     for room in sorted(path.parent for path in package.glob('*/__init__.py')):
-        parts = [f'{room.name}\n{"=" * len(room.name)}\n']
-        for path in sorted(room.rglob('*.py')):
-            names = path.relative_to(package.parent).with_suffix('').parts
-            module = '.'.join(names).removesuffix('.__init__')
-            if not names[-1].startswith('_') or names[-1] == '__init__':
-                parts.append(f'.. automodule:: {module}\n')
+        modules = ['.'.join(path.relative_to(room).with_suffix('').parts)
+                   for path in sorted(room.rglob('*.py')) if not path.name.startswith('_')]
+        name = f'{package.name}.{room.name}'
+        text = '\n'.join([
+            f'{room.name}\n{"=" * len(room.name)}\n', f'.. automodule:: {name}\n',
+            '.. autosummary::\n', *(f'   {module}' for module in modules), '',
+            *(f'{module}\n{"-" * len(module)}\n\n.. automodule:: {name}.{module}\n'
+              for module in modules)])
         page = DOCS / 'reference' / 'api' / f'{room.name}.rst'
-        text = '\n'.join(parts)
         if not page.exists() or page.read_text(encoding='utf-8') != text:
             page.write_text(text, encoding='utf-8')

@@ -86,7 +86,7 @@ def exercise_discovery(hidden: Effect) -> None:
         f"'prior' decides whether {hidden.id} is named: with one off by {PRIOR_OFF:g} its "
         f'log evidence is {least:.1f}, less than {enough():.1f}')
     nothing, established = _where_nothing_is_hidden(hidden.is_drive_curve)
-    assert not established, f'nothing is hidden; established are: {", ".join(established)}'
+    assert not established, f'nothing is hidden in the data; established: {", ".join(established)}'
     for one in nothing.more:
         if one.id == hidden.id:
             most = _log_evidence_under_other_priors(one.found).max()
@@ -147,7 +147,7 @@ def _does_nothing_at_zero(kind: type[Effect]) -> None:
         shape = {p.field: float(rng.uniform(p.low, p.high)) for p in kind.parameters() if p.shape}
         off = dataclasses.replace(kind.null(), **shape)
         assert np.allclose(_moved(off), _moved(), rtol=1e-12, atol=1e-21), (
-            f'moves particles at strength zero, with {shape}')
+            f'moves particles at zero strength, with {shape}')
 
 
 def _stays_finite(kind: type[Effect]) -> None:
@@ -185,7 +185,7 @@ def _broadcasts(effect: Effect) -> None:
         together = getattr(effect, hook)(context)
         for k in range(4):
             one = getattr(effect, hook)(context.at(k, Places(context.position[k])))
-            assert (together is None) == (one is None), f'{hook} answers now and then only'
+            assert (together is None) == (one is None), f'{hook} returns values only sometimes'
             if together is not None:
                 axes = (_COUNT, 2) if hook == 'drift' else (_COUNT,)
                 whole = np.broadcast_to(together, (4, *axes))[k]
@@ -210,7 +210,7 @@ def _bears_gaps(effect: Effect) -> None:
     two = Timeline(whole.commands, whole.times, whole.positions[:, :-1])
     assert np.allclose(seen[10:20, :-1], _moved(effect, two)[10:20], rtol=1e-12, atol=1e-21), (
         'a particle that is missing moves the others')
-    assert np.isfinite(seen[:10]).all(), 'a gap is felt before it begins'
+    assert np.isfinite(seen[:10]).all(), 'a gap acts before it begins'
 
 
 def _tells_whether_it_reads_positions(effect: Effect) -> None:

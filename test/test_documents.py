@@ -58,7 +58,16 @@ def test_pages_of_the_code_are_up_to_date(page, build):
 
 def test_every_page_of_the_code_is_tested(build):
     made = {_name(path) for path in PROSE if 'Made from the code by' in path.read_text()}
-    assert made == {f'docs/{page}' for page in build.PAGES}
+    assert made == {f'docs/{page}' for page in build.PAGES | build.NOTEBOOKS}
+
+
+def test_pages_of_the_notebooks_show_their_cells(build):
+    """That they show what the cells print is tested by test_notebooks.py."""
+    for name in build.notebooks.NAMES:
+        page = (DOCS / 'tutorial' / 'notebooks' / f'{name}.md').read_text(encoding='utf-8')
+        shown = [text.rstrip() for language, text in BLOCK.findall(page) if language == 'python']
+        assert shown == [text for is_text, text in build.notebooks.cells(name) if not is_text], (
+            'run `python docs/build.py --notebooks`')
 
 
 def test_every_sentence_of_a_fault_has_its_cause_and_cure(build):
@@ -75,7 +84,7 @@ def test_every_sentence_of_a_fault_has_its_cause_and_cure(build):
 @pytest.mark.parametrize('reason', Reason)
 @pytest.mark.parametrize('parameters', ['', ' (deviation_A, settling_ms)'])
 def test_every_fault_of_the_gate_is_shown_with_its_cause_and_cure(reason, parameters):
-    cause, cure = faults.catalogue()['Why the gate let go: the word before the colon'][reason]
+    cause, cure = faults.catalogue()['Faults of the gate: the words before the colon'][reason]
     said = f'disarmed, {reason}{parameters}: (0, 0) A for 0.2 s; zero, confirmed by a reading'
     assert faults.remedy(said) == faults.Remedy(cause, cure) or cure.startswith('The detail')
 

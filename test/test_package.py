@@ -135,7 +135,7 @@ def test_scripts_run_from_the_install_space(workspace: Path) -> None:
         [sys.executable, installed / 'lib/microbot_ros/camera_node'],
         cwd=workspace, env=environment, capture_output=True, text=True, timeout=60)
     assert node.returncode == 2
-    assert 'camera: expected a parameter source' in node.stderr
+    assert 'camera: expected the parameter source' in node.stderr
 
 
 def test_versions_agree() -> None:

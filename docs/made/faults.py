@@ -63,8 +63,8 @@ _ALSO = {
 """File → an error of Python's, or of input, that is one there."""
 
 _WORDS: dict[str, type[Enum]] = {
-    'Why the gate let go: the word before the colon': Reason,
-    'How a tick of the controller ended: `result`': Result}
+    'Faults of the gate: the words before the colon': Reason,
+    'Results of a controller: `result`': Result}
 """Part of the rig → the words by which it names its faults."""
 
 
@@ -151,5 +151,5 @@ def page() -> str:
     for part, told in sentences().items():
         rows = [[sentence, *remedies.get(part, {}).get(sentence, ('?', '?'))]
                 for sentence in told]
-        parts.append(f'## {part}\n\n' + table(('it says', 'because', 'do'), rows))
+        parts.append(f'## {part}\n\n' + table(('message', 'cause', 'what to do'), rows))
     return '\n'.join(parts)

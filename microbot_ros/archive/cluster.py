@@ -145,7 +145,7 @@ def introduced(client: Client) -> str:
     """A sentence on the workers of a `client`, and Dask's dashboard where there is one."""
     count = len(client.scheduler_info(n_workers=-1)['workers'])
     who = f'{count} worker{"" if count == 1 else "s"}' if count else (
-        'no workers yet: waiting for one')
+        'no workers yet; waiting for one')
     if find_spec('bokeh') is None:
         return f'{who}; Dask’s dashboard needs bokeh (pip install bokeh)'
     return f'{who}; dashboard {client.dashboard_link}'
@@ -167,8 +167,8 @@ def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Job, str], N
     for done, future in enumerate(waiting):
         if future.status in ('cancelled', 'lost'):
             raise ClusterError(
-                f'the scheduler is gone after {done} of {len(of)}; what is done stays done, and '
-                'the same command goes on from there')
+                f'lost the scheduler after {done} of {len(of)} files; finished files are kept, '
+                'and the same command continues from there')
         error = future.exception()
         if isinstance(error, VersionError):
             raise InputError('a worker', f'expected the same version, found {error}')
@@ -179,5 +179,5 @@ def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Job, str], N
 
 def _sentence(error: BaseException) -> str:
     if type(error).__name__ == 'KilledWorker':
-        return 'its worker died again and again, most likely for want of memory'
+        return 'its worker died repeatedly, probably from lack of memory'
     return f'{type(error).__name__}: {_first_line(error)}'

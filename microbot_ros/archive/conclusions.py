@@ -58,10 +58,10 @@ class Conclusions:
     def sentences(self) -> list[str]:
         """The findings for people."""
         said = [effect.sentence() for effect in self.effects]
-        said += [f'{one.session} is unlike the others: {one.title} {one.value:.3g}, usually '
+        said += [f'{one.session} differs from the others: {one.title} {one.value:.3g}, usually '
                  f'{one.mean:.3g}{_scale_hint(one)}.' for one in self.unlike]
         said += self.imported['sentences']
-        said += [f'{one.title} drifts by {line.slope:+.2g} ± {1.96 * line.std:.1g} a week.'
+        said += [f'{one.title} drifts by {line.slope:+.2g} ± {1.96 * line.std:.1g} per week.'
                  for one, line in self.drifts]
         return said
 
@@ -114,7 +114,7 @@ def _scale_hint(one: Unlike) -> str:
     ratio = one.value / one.mean if one.mean else 1.0
     if not is_speed or 1 / _MULTIPLE < ratio < _MULTIPLE:
         return ''
-    return '; another objective or a wrong pixel size would do that'
+    return '; another objective or a wrong pixel size can cause that'
 
 
 def _parameters(effect: Recurring, first: Mapping[str, Mapping[str, Any]]) -> list[Quantity]:

@@ -76,7 +76,7 @@ def track_film(files: Sequence[Path], tracks: Path, pixel_size: float | None,
         ImageSource(files[0].parent.name, sorted(files, key=natural_order), remarks.append,
                     frame_rate))
     if film.frame_rate is None and pixel_size is not None:
-        remarks.append('no frame rate is known; t_s counts frames')
+        remarks.append('no frame rate known; t_s counts frames')
     count = 0
 
     def images() -> Iterator[np.ndarray]:
@@ -92,7 +92,7 @@ def track_film(files: Sequence[Path], tracks: Path, pixel_size: float | None,
     with tracks.open('w', encoding='utf-8') as file:
         rows = Rows(file, film.size, pixel_size, [kind.name for kind in settings.kinds])
         if appearance is None:
-            remarks.append('nothing in it stands out of the noise; no tracks')
+            remarks.append('nothing stands out of the noise; no tracks')
         else:
             remarks += _track(film, Tracker(settings, appearance), rows, times)
         rows.close()

@@ -51,7 +51,7 @@ def _several(folder: str, sizes: dict[float, list[str]]) -> str:
         return f'{sentence}.'
     odd = [f'{Path(name).name} ({size:g} µm)' for size, of in sorted(sizes.items())
            if size != common for name in of]
-    return f'{sentence}; unlike the others: {", ".join(odd)}.'
+    return f'{sentence}; different: {", ".join(odd)}.'
 
 
 def siblings(archive: Archive, job: Job) -> str:
@@ -68,4 +68,4 @@ def siblings(archive: Archive, job: Job) -> str:
     if not sizes:
         return ''
     told = ', '.join(f'{size:g} µm in {count}' for size, count in sizes.most_common())
-    return f'; its siblings in the folder have {told}: state pixel_size_um for it in archive.yaml'
+    return f'; other files in the folder have {told}: state pixel_size_um for it in archive.yaml'

@@ -187,7 +187,7 @@ def _refused(kinds: dict[str, list[Path]], top: Path) -> Iterator[Refused]:
     reasons = {
         'sqlite': 'a bag of sqlite3: expected MCAP; convert it with ros2 bag convert',
         'empty': 'an empty file',
-        'other': 'nothing in it is known',
+        'other': 'no known file in it',
     }
     for what, files in kinds.items():
         for file in files:
@@ -233,7 +233,7 @@ def _table(file: Path) -> str:
         return 'commands'
     if summary_of([(sheet, columns)]):
         return 'spreadsheet'  # whose import says what it is
-    return 'expected columns of positions or commands; it has neither'
+    return 'expected columns of positions or commands; it has none'
 
 
 def pairs(found: Sequence[Found]) -> dict[Path, Found]:

@@ -93,7 +93,7 @@ class Recurring:
         where = (f'in all {known} sessions' if len(self.present) == known else
                  f'in {len(self.present)} of {known} sessions')
         if self.undecided:
-            where += f' ({len(self.undecided)} can not tell)'
+            where += f' ({len(self.undecided)} cannot decide)'
         if len(self.present) < 2:
             return f'{self.id} {where}.'
         how = ('its ' + ' and '.join(self.varying) + ' varies by session' if self.varying else

@@ -91,7 +91,7 @@ def do(job: Job) -> str:
     OSError where the disk is full, VersionError, and whatever a fault of this program raises.
     """
     if job.version != __version__:
-        raise VersionError(f'microbot_ros {__version__}, the client {job.version}')
+        raise VersionError(f'microbot_ros {__version__}; the client has {job.version}')
     if not job.result.exists():
         try:
             outcome = _TASKS[job.task](job)
@@ -227,7 +227,7 @@ def _track(job: Job) -> dict[str, Any]:
         try:
             table, _ = _imported([job.table], job.settings['answers'])
         except InputError as error:
-            problem = f'not compared with the table of its name: {_reason(error)}'
+            problem = f'not compared with the table of the same name: {_reason(error)}'
         else:
             pixel_size = pixel_size or table.conditions.pixel_size
     with output_folder(made_session(job)) as folder:
@@ -250,7 +250,7 @@ def _beside_table(told: dict[str, Any], table: Session, name: str) -> None:
     else:
         left = len(table.tracks.particles) - len(agreed)
         said = [one.sentence(name) for one in agreed]
-        said += [f'{left} robots of {name} are not found in the film'] if left else []
+        said += [f'{left} robots of {name} were not found in the film'] if left else []
     told['table'] = {'name': name, 'robots': [one.as_json() for one in agreed or ()],
                      'sentences': said}
 
@@ -263,7 +263,7 @@ def _write_commands(folder: Path, job: Job, table: Session, told: dict[str, Any]
     from microbot_ros.session import write_session
 
     beside = job.path if job.path.is_dir() else job.path.parent
-    said = [f'positions are those of the film, commands those of {told["table"]["name"]}',
+    said = [f'positions are from the film, commands from {told["table"]["name"]}',
             *told['table']['sentences']]
     with tempfile.TemporaryDirectory() as scratch:
         write_session(Path(scratch) / 'table', replace(table, assumed=(*table.assumed, *said)))

@@ -28,8 +28,8 @@ class AravisCamera(CameraDriver):
         self._buffer: Any = None
         self._aravis, self._error = _bindings()
         if not self.wanted.source:
-            raise InputError('camera', 'expected a camera as source, by its name, IP address or '
-                             'serial number; arv-tool lists those that are there')
+            raise InputError('camera', 'expected the name, IP address or serial number of a '
+                                       'camera as source; arv-tool lists the cameras found')
         if self.wanted.source.startswith('Fake'):
             self._aravis.enable_interface('Fake')
         try:

@@ -39,34 +39,37 @@ class CameraSettings:
     """Settings requested from a camera; one that it cannot fulfil is refused, never ignored."""
 
     source: str = setting(
-        '', 'What to read: a device number (0) or path (/dev/video0), a video file, a folder of '
-        'images or a glob; for other kinds of camera its name, see docs/reference/cameras.md. '
-        'Nothing else is tried when it cannot be opened.', read_only=True)
+        '', 'Source of the frames: a device number (0) or path (/dev/video0), a video '
+            'file, a folder of images or a glob; for other kinds of camera its name, '
+            'see docs/reference/cameras.md. No other source is tried if it cannot be '
+            'opened.', read_only=True)
     frame_rate_hz: float = setting(
-        0.0, 'Pace of a file, or asked of a device; 0 takes what the file says, or the device’s '
-        'own.', lower=0.0, upper=10_000.0, read_only=True)
+        0.0, 'Frame rate: the pace of a file, or the rate requested '
+             "of a device; 0 takes the file's, or the device's "
+             'default.', lower=0.0, upper=10_000.0, read_only=True)
     exposure_ms: float = setting(
-        0.0, 'Time of exposure; 0: the device’s own. While running, the camera is opened anew.',
+        0.0, "Exposure time; 0: the device's default. A change while running reopens the camera.",
         lower=0.0, upper=1e6)
     gain: float = setting(
-        0.0, 'Gain in the device’s unit (dB for most); 0: the device’s own. While running, the '
-        'camera is opened anew.', lower=0.0, upper=1e6)
+        0.0, "Gain in the unit of the device (dB for most); 0: the device's default. A change "
+             'while running reopens the camera.', lower=0.0, upper=1e6)
     width_px: int = setting(
-        0, 'Width of the region that is read; 0: the device’s own.', lower=0, upper=100_000,
+        0, "Width of the region that is read; 0: the device's default.", lower=0, upper=100_000,
         read_only=True)
     height_px: int = setting(
-        0, 'Height of the region that is read; 0: the device’s own.', lower=0, upper=100_000,
+        0, "Height of the region that is read; 0: the device's default.", lower=0, upper=100_000,
         read_only=True)
     offset_x_px: int = setting(
         0, 'First column of the region.', lower=0, upper=100_000, read_only=True)
     offset_y_px: int = setting(
         0, 'First row of the region.', lower=0, upper=100_000, read_only=True)
     pixel_format: str = setting(
-        '', 'Pixel format by the device’s name for it (Mono8, YUYV); empty: the device’s own.',
+        '', "Pixel format, by the device's name for it (Mono8, YUYV); empty: the device's "
+            'default.',
         read_only=True)
     trigger: str = setting(
-        '', 'What starts each exposure, by the device’s name for it (Line1); empty: the camera '
-        'itself.', read_only=True)
+        '', "Trigger that starts each exposure, by the device's name for it (Line1); empty: the "
+            'camera itself.', read_only=True)
 
     @property
     def asked(self) -> list[str]:
@@ -78,9 +81,9 @@ class CameraSettings:
 class Clock(StrEnum):
     """Origin of the exposure times."""
 
-    HOST = 'this computer’s, stamped in its driver'
-    DEVICE = 'the camera’s own, brought to this computer’s'
-    NONE = 'none: a frame is stamped as it arrives'
+    HOST = "clock of this computer, stamped in the camera's driver"
+    DEVICE = 'clock of the camera, converted to that of this computer'
+    NONE = 'no clock: a frame is stamped on arrival'
 
 
 @dataclass(frozen=True)
@@ -201,7 +204,7 @@ class CameraDriver(ABC):
         """
         for name in names:
             if name in self.wanted.asked:
-                raise InputError(self.wanted.source, f'has no {name} to set'
+                raise InputError(self.wanted.source, f'{name} cannot be set'
                                  + (why and f'; {why}'))
 
     def within(self, name: str, lowest: float, highest: float) -> float:
@@ -231,10 +234,10 @@ def camera_class(kind: str) -> type[CameraDriver]:
     """
     found = installed(GROUP, 'camera', kind)
     if not (isinstance(found, type) and issubclass(found, CameraDriver)):
-        raise InputError('camera', f"the kind '{kind}' is no CameraDriver")
+        raise InputError('camera', f"the kind '{kind}' does not derive from CameraDriver")
     if found.interface_version != INTERFACE_VERSION:
-        raise InputError('camera', f"the kind '{kind}' is written for interface version "
-                         f'{found.interface_version}, expected {INTERFACE_VERSION}')
+        raise InputError('camera', f"the kind '{kind}' has interface version "
+                                   f'{found.interface_version}; expected {INTERFACE_VERSION}')
     return found
 
 

@@ -21,7 +21,7 @@ class FileCamera(CameraDriver):
 
     def open(self) -> CameraFormat:
         if not self.wanted.source:
-            raise InputError('camera', 'expected a parameter source: a device, a video or a '
+            raise InputError('camera', 'expected the parameter source: a device, a video or a '
                                        'folder of images')
         self.refuse(*(set(self.wanted.asked) - {'frame_rate_hz'}), why='it is a file')
         source = open_source(self.wanted.source, self.report, self.wanted.frame_rate_hz or None)

@@ -36,7 +36,7 @@ class MicroManagerCamera(CameraDriver):
     def open(self) -> CameraFormat:
         self._core: Any = None
         self._mmcore = optional('pymmcore', 'micromanager')
-        self.refuse('frame_rate_hz', 'trigger', why='say it in the configuration file')
+        self.refuse('frame_rate_hz', 'trigger', why='set it in the configuration file')
         core = self._core = self._mmcore.CMMCore()
         try:
             core.setDeviceAdapterSearchPaths(_adapters())
@@ -57,9 +57,9 @@ class MicroManagerCamera(CameraDriver):
         try:
             while not core.getRemainingImageCount():
                 if not core.isSequenceRunning():
-                    why = (': its buffer ran over, for this machine did not keep up'
+                    why = (': its buffer overflowed; this computer is too slow for the frame rate'
                            if core.isBufferOverflowed() else '')
-                    raise InputError(self.wanted.source, f'stopped giving frames{why}')
+                    raise InputError(self.wanted.source, f'stopped delivering frames{why}')
                 if time.monotonic() >= deadline:
                     return None
                 time.sleep(_POLL_S)
@@ -114,8 +114,9 @@ class MicroManagerCamera(CameraDriver):
                         core.getPropertyUpperLimit(camera, 'Exposure'))
         core.setExposure(exposure_ms)
         if abs(core.getExposure() - exposure_ms) > 0.05 * exposure_ms:
-            raise InputError(self.wanted.source, f'exposure_ms became {core.getExposure():g} ms; '
-                             f'received {exposure_ms:g}')
+            raise InputError(self.wanted.source, 'exposure_ms was set to '
+                                                 f'{core.getExposure():g} ms; requested '
+                                                 f'{exposure_ms:g} ms')
 
     def _property(self, name: str, its: str, value: str) -> None:
         """Set the camera's property `its` from the setting `name`."""
@@ -135,8 +136,8 @@ class MicroManagerCamera(CameraDriver):
         deadline = time.monotonic() + 3.0 + 2 * exposure
         while not self._core.getRemainingImageCount():
             if time.monotonic() > deadline:
-                raise InputError(self.wanted.source, 'expected a camera that gives frames; it '
-                                 'gives none')
+                raise InputError(self.wanted.source, 'expected a camera that delivers frames; '
+                                                     'it delivers none')
             time.sleep(_POLL_S)
         told = self._mmcore.Metadata()
         self._core.getLastImageMD(told)

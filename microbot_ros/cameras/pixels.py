@@ -23,8 +23,8 @@ GENICAM = {
 def encoding_of(pixel_format: str, known: dict[str, str], source: str) -> str:
     """Return the encoding of a `pixel_format` among the `known`, or blame `source`."""
     if pixel_format not in known:
-        raise InputError(source, f'gives pixels as {pixel_format}; expected a pixel_format of '
-                         f'{", ".join(known)}')
+        raise InputError(source, f'delivers pixels as {pixel_format}; expected a pixel_format of '
+                                 f'{", ".join(known)}')
     return known[pixel_format]
 
 

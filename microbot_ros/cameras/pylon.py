@@ -95,8 +95,10 @@ class PylonCamera(CameraDriver):
         if len(here) != 1:
             listed = ', '.join(f'{each.GetSerialNumber()} ({each.GetModelName()})'
                                for each in devices) or 'none'
-            raise InputError(self.wanted.source or 'camera', 'expected the serial number, name or '
-                             f'IP address of one Basler camera as source; there are: {listed}')
+            raise InputError(self.wanted.source or 'camera', 'expected the serial number, '
+                                                             'name or IP address of one '
+                                                             'Basler camera as source; found: '
+                                                             f'{listed}')
         return factory.CreateDevice(here[0])
 
     def _set_up(self) -> None:

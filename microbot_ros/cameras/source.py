@@ -226,7 +226,7 @@ class ImageSource:
         for index, path in enumerate(self._paths):
             image = _read_image(path, self._see)
             if image is None:
-                self._report(f'{path}: frame {index} can not be decoded; left out')
+                self._report(f'{path}: frame {index} cannot be decoded; left out')
             elif image.shape[:2] != self.size:
                 found = _size(image.shape)
                 self._report(
@@ -240,7 +240,7 @@ def read_picture(path: Path) -> np.ndarray:
     """Read the image file `path` as grey (H, W), 8 or 16 bit, or raise InputError."""
     image = _read_image(path, grey)
     if image is None:
-        raise InputError(path, 'expected a picture of 8 or 16 bit; it can not be decoded')
+        raise InputError(path, 'expected a picture of 8 or 16 bit; it cannot be decoded')
     return image
 
 

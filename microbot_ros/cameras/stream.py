@@ -41,7 +41,7 @@ class FrameStream:
         if frame is None:
             silent = time.monotonic() - self._heard
             if silent > self.format.patience:
-                raise InputError(self._name, f'gave no frame for {silent:.1f} s')
+                raise InputError(self._name, f'no frame for {silent:.1f} s')
             return None
         self._heard = frame.arrived
         self._check(frame)
@@ -64,8 +64,9 @@ class FrameStream:
         if frame.image.shape != self._shape or frame.image.dtype != self._dtype:
             found, expected = ('×'.join(map(str, shape[1::-1])) for shape in (
                 frame.image.shape, self._shape))
-            raise InputError(self._name, f'frame {frame.number} is {found} {frame.image.dtype}, '
-                             f'expected {expected} {self.format.encoding}')
+            raise InputError(self._name, f'frame {frame.number} is {found} '
+                                         f'{frame.image.dtype}, expected {expected} '
+                                         f'{self.format.encoding}')
 
     def _is_new(self, frame: CameraFrame) -> bool:
         """Return whether the frame is new, and count the frames missing before it as lost."""
@@ -79,7 +80,7 @@ class FrameStream:
             step += wraps
         if step < 0:
             self._camera.report(f'{self._name}: frame numbers went back from {before} to '
-                                f'{frame.number}; what was lost between them is not known')
+                                f'{frame.number}; frames lost in between are not counted')
             return True
         if step == 0 or (self.format.clock is not Clock.NONE and frame.exposed == stamp):
             return False

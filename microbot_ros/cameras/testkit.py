@@ -61,10 +61,10 @@ def _frames(kind: type[CameraDriver], wanted: CameraSettings) -> None:
     deadline = time.monotonic() + _PATIENCE_S
     while len(numbers) < _FRAMES:
         now = time.monotonic()
-        assert now < deadline, f'gave {len(numbers)} frames in {_PATIENCE_S:g} s'
+        assert now < deadline, f'delivered {len(numbers)} frames in {_PATIENCE_S:g} s'
         found = stream.read(0.05)
         took = time.monotonic() - now
-        assert took < 0.05 + _SLACK_S, f'read took {took:.2f} s, asked for 0.05 s at most'
+        assert took < 0.05 + _SLACK_S, f'read took {took:.2f} s; expected at most 0.05 s'
         if found:
             _check_frame(found[0], stream.format)
             numbers.append(found[0].number)
@@ -72,8 +72,8 @@ def _frames(kind: type[CameraDriver], wanted: CameraSettings) -> None:
     driver.close()
     driver.close()
     assert driver.wraps_after or numbers == sorted(set(numbers)), (
-        f'numbers of frames must rise; gave {numbers}')
-    assert moments == sorted(moments), 'moments of exposure must rise'
+        f'frame numbers must ascend; received {numbers}')
+    assert moments == sorted(moments), 'exposure times must ascend'
 
 
 def _check_format(form: CameraFormat) -> None:
@@ -86,9 +86,10 @@ def _check_format(form: CameraFormat) -> None:
 
 def _check_frame(frame: CameraFrame, form: CameraFormat) -> None:
     now = time.monotonic()
-    assert now - _PATIENCE_S < frame.arrived <= now, 'arrived is on the monotonic clock'
+    assert now - _PATIENCE_S < frame.arrived <= now, (
+        "'arrived' must be a time of the monotonic clock")
     if form.clock is Clock.HOST:
-        assert frame.exposed <= frame.arrived, 'exposed after it arrived'
+        assert frame.exposed <= frame.arrived, 'exposed after arrival'
 
 
 def _refuses(kind: type[CameraDriver], wanted: CameraSettings, name: str) -> None:
@@ -101,4 +102,4 @@ def _refuses(kind: type[CameraDriver], wanted: CameraSettings, name: str) -> Non
     finally:
         driver.close()
     assert said, f'{name} {getattr(wanted, name)!r} must be refused with an InputError'
-    assert '\n' not in said, f'must be said in one line; received {said}'
+    assert '\n' not in said, f'the error must be one line; received {said}'

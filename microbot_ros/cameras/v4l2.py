@@ -44,8 +44,8 @@ class V4l2Camera(CameraDriver):
             return self._format()
         except OSError as error:
             self.close()
-            raise InputError(source, 'expected a camera that gives frames; it gives none '
-                             f'({error.strerror or error})') from None
+            raise InputError(source, 'expected a camera that delivers frames; it '
+                                     f'delivers none ({error.strerror or error})') from None
         except InputError:
             self.close()
             raise
@@ -55,7 +55,7 @@ class V4l2Camera(CameraDriver):
         try:
             captured = self._device.capture(timeout)
         except OSError as error:
-            raise InputError(self.wanted.source, f'stopped giving frames ({error.strerror})'
+            raise InputError(self.wanted.source, f'stopped delivering frames ({error.strerror})'
                              ) from None
         arrived = time.monotonic()
         image = None if captured is None or captured.broken else self._image(captured.data)
@@ -88,8 +88,10 @@ class V4l2Camera(CameraDriver):
         layout = device.lay_out(width, height, pixel_format)
         given = layout.width, layout.height, layout.pixel_format
         if given != (width, height, pixel_format):
-            raise InputError(wanted.source, f'does not give {width}×{height} {pixel_format}; '
-                             f'nearest is {layout.width}×{layout.height} {layout.pixel_format}')
+            raise InputError(wanted.source, f'does not support {width}×{height} '
+                                            f'{pixel_format}; nearest is '
+                                            f'{layout.width}×{layout.height} '
+                                            f'{layout.pixel_format}')
         return layout
 
     def _crop(self, device: VideoDevice, width: int, height: int) -> None:
@@ -112,8 +114,8 @@ class V4l2Camera(CameraDriver):
         if given is None:
             self.refuse('frame_rate_hz')
         elif abs(given - wanted) > 0.01 * wanted:
-            raise InputError(self.wanted.source, f'does not give {wanted:g} frames/s; nearest is '
-                             f'{given:g}')
+            raise InputError(self.wanted.source, f'does not support {wanted:g} frames/s; '
+                                                 f'nearest is {given:g}')
 
     def _set_exposure_and_gain(self) -> None:
         device, wanted = self._device, self.wanted
@@ -149,8 +151,8 @@ class V4l2Camera(CameraDriver):
         patience = 3.0 + 2 * self._exposure
         first = device.capture(patience)
         if first is None:
-            raise InputError(self.wanted.source, 'expected a camera that gives frames; it gives '
-                             'none')
+            raise InputError(self.wanted.source, 'expected a camera that delivers frames; it '
+                                                 'delivers none')
         layout = self._layout
         return CameraFormat(
             layout.height, layout.width, self._encoding, layout.pixel_format,

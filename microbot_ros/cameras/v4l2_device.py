@@ -109,7 +109,7 @@ class VideoDevice:
             *_, capabilities, own = self._ask(QUERYCAP, _CAPABILITY, b'', b'', b'', 0, 0, 0)
             can = own if capabilities & _DEVICE_CAPS else capabilities
             if not (can & _CAN_CAPTURE and can & _CAN_STREAM):
-                raise OSError(errno.ENOTSUP, 'no camera that streams')
+                raise OSError(errno.ENOTSUP, 'not a camera that can stream')
         except BaseException:
             os.close(self._file)
             raise

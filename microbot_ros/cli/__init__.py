@@ -1,4 +1,12 @@
-"""The `microbot` command: one file per command, imported only when it is called."""
+"""The `microbot` command: one file per command, imported only when it is called.
+
+Examples
+--------
+>>> from click.testing import CliRunner
+>>> from microbot_ros.cli import microbot
+>>> CliRunner().invoke(microbot, ['fit', '--help']).output.splitlines()[0]
+'Usage: microbot fit [OPTIONS] SESSION'
+"""
 
 from __future__ import annotations
 
@@ -27,11 +35,11 @@ _CLEAN_UP_S = 20
 
 # Command → the module that defines `command`, and one line for `microbot --help`.
 _COMMANDS = {
-    'demo': ('demo.demo', 'Close the loop on the virtual rig.'),
+    'demo': ('demo.demo', 'Run the closed loop on the virtual rig.'),
     'run': ('rig.run', 'Run the nodes beside a real rig.'),
     'cockpit': ('rig.cockpit', "Open the operator's page of a running rig."),
-    'replay': ('replay.replay', 'Play a recording through its topics.'),
-    'record': ('rig.record', 'Begin and end a recording of a running rig.'),
+    'replay': ('replay.replay', 'Play a recording on its topics.'),
+    'record': ('rig.record', 'Start and stop a recording of a running rig.'),
     'arm': ('rig.arm', 'Arm or disarm the gate of a running rig.'),
     'set': ('rig.set', 'Change a parameter of a running node.'),
     'goal': ('rig.goal', 'Send goals to the running controller.'),
@@ -39,14 +47,14 @@ _COMMANDS = {
     'simulate': ('simulate', 'Simulate particles, camera and hidden effects as a session.'),
     'discover': ('discover.discover', 'Find, name and add the effect that the model is missing.'),
     'batch': ('batch', 'Track, fit, discover or import all recordings of an archive.'),
-    'response': ('response', 'Measure speed and slip at each plateau of what was commanded.'),
+    'response': ('response', 'Measure speed and slip at each plateau of the command.'),
     'fit': ('fit', 'Fit v, φ and F of every particle of a session.'),
-    'paper': ('paper', "Repeat the paper's experiment beside its own numbers."),
-    'import': ('import_', 'Turn the tables of a laboratory into a session.'),
+    'paper': ('paper', "Repeat the paper's experiment and compare with its numbers."),
+    'import': ('import_', 'Convert the tables of a laboratory into a session.'),
     'info': ('info', 'Show what is in a session or recording.'),
-    'doctor': ('rig.doctor', 'Is this machine, is the rig ready?'),
-    'calibrate': ('calibrate.calibrate', 'Find constants of the rig from measurements.'),
-    'reach': ('reach', 'What particles under one field can and cannot reach.'),
+    'doctor': ('rig.doctor', 'Check whether this machine and the rig are ready.'),
+    'calibrate': ('calibrate.calibrate', 'Determine constants of the rig from measurements.'),
+    'reach': ('reach', 'Compute what particles under one field can and cannot reach.'),
     'emulate': ('rig.emulate', 'Emulate an amplifier on a pseudo-terminal.'),
 }
 

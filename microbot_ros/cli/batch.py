@@ -26,11 +26,11 @@ _COMMON = (
     click.option('--out', type=click.Path(path_type=Path), required=True, metavar='ARCHIVE',
                  help='Folder for archive.parquet, archive.html and the results.'),
     click.option('--workers', type=click.IntRange(1), metavar='N',
-                 help='Processes on this machine; as many as it has cores if nothing is said.'),
+                 help='Processes on this machine; default: the number of cores.'),
     click.option('--scheduler', metavar='ADDRESS',
-                 help='Address of a running Dask scheduler, whose workers do the work.'),
+                 help='Address of a running Dask scheduler; its workers do the work.'),
     click.option('--json', 'json_path', type=click.Path(path_type=Path),
-                 help='Also write what was done and found as JSON.'),
+                 help='Write a summary of the work and its results as JSON to this file.'),
 )
 
 
@@ -60,11 +60,11 @@ def command() -> None:
 @command.command('track')
 @_common_options
 @click.option('--pixel-size-um', type=plausible_number('pixel_size_um'),
-              help='Width of a pixel in the sample, where no session.yaml beside a film says it.')
+              help='Width of a pixel in the sample, if no session.yaml beside a film states it.')
 @click.option('--frame-rate-hz', type=plausible_number('frame_rate_hz'),
-              help='Frames per second: for images, or instead of what a film says.')
+              help="Frames per second, of images or in place of a film's own rate.")
 @click.option('--settings', 'settings_path', type=click.Path(path_type=Path), metavar='YAML',
-              help='Settings of detection and linking; what is left out is chosen.')
+              help='Settings of detection and linking; missing ones are chosen automatically.')
 def _track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_path: Path | None,
            **common: Any) -> None:
     """Track every film: a video file, or a folder of images.
@@ -204,7 +204,7 @@ def _beside_tables(films: dict[str, Any]) -> list[str]:
 
 def _told(summary: Summary) -> list[str]:
     lines = [f'{name}: {reason}' for name, reason in sorted(summary.refused.items())]
-    lines += [f'{name}: {reason}; the next run tries again'
+    lines += [f'{name}: {reason}; the next run tries it again'
               for name, reason in sorted(summary.failed.items())]
     lines += [f'{name}: {sentence}' for name, sentence in sorted(summary.summaries.items())]
     parts = [f'{summary.done} done', f'{summary.kept} kept from before']

@@ -16,7 +16,7 @@ from microbot_ros.cli.options import FiniteFloatRange, force_option
 @click.option('--exposure-ms', type=FiniteFloatRange(0, 10_000), default=0.0, show_default=True,
               help='Exposure time of a frame, for the blur of diffusion during it.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write the content of fit.json here.')
+              help='Write the content of fit.json to this file too.')
 @force_option
 def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None,
             force: bool) -> None:

@@ -24,22 +24,22 @@ _OPTIONS = (
                  help=f'Name the column for a role: {_ROLES}.'),
     click.option('--position-unit', type=click.Choice(['um', 'mm', 'm', 'px'])),
     click.option('--pixel-size-um', type=plausible_number('pixel_size_um'),
-                 help='Width of a pixel in the sample, where the table does not say it.'),
+                 help='Width of a pixel in the sample, if the table does not state it.'),
     click.option('--y', type=click.Choice(['up', 'down']),
-                 help='Where y points; down is assumed of pixels.'),
+                 help='Direction of y; down is assumed for pixels.'),
     click.option('--time-unit', type=click.Choice(['s', 'ms'])),
     click.option('--times', type=click.Choice(['moments', 'intervals'])),
     click.option('--frame-rate-hz', type=plausible_number('frame_rate_hz')),
     click.option('--angle-unit', type=click.Choice(['deg', 'rad'])),
     click.option('--angle-sense', type=click.Choice(['counterclockwise', 'clockwise'])),
     click.option('--angle-offset-deg', type=FiniteFloatRange(-3600, 3600),
-                 help='How much too large the angles of the commands are.'),
+                 help='Factor by which the angles of the commands are too large.'),
     click.option('--field-unit', type=click.Choice(['mT', 'T', 'G', 'fraction']),
                  help='Unit of Bx and By; fraction is of full scale.'),
     click.option('--full-scale-mT', 'full_scale_mT', type=plausible_number('reference_field_mT'),
-                 help='Field of a fraction of 1.'),
+                 help='Field that a fraction of 1 stands for.'),
     click.option('--ignore-speed', is_flag=True,
-                 help='Do not compare the scale with the speeds in the table.'),
+                 help='Do not check the scale against the speeds in the table.'),
 )
 
 
@@ -53,7 +53,7 @@ def answer_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.command(name='import')
 @click.argument('source', type=click.Path(path_type=Path))
 @click.option('--out', type=click.Path(path_type=Path), required=True,
-              help='The session to write: a folder.')
+              help='Folder of the session to write.')
 @answer_options
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write what was found and assumed as JSON.')

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument('session', type=click.Path(path_type=Path))
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write what was found as JSON.')
+              help='Write the summary as JSON to this file.')
 @click.option('--figure', type=click.Path(path_type=Path),
-              help='Also draw paths, commands and topics over time.')
+              help='Draw paths, commands and topics over time to this file.')
 @click.option('--repair', is_flag=True,
-              help='Write the index and the metadata of a recording that was cut off.')
+              help='Write the missing index and metadata of a recording that was cut off.')
 def command(session: Path, json_path: Path | None, figure: Path | None, repair: bool) -> None:
     """Show what SESSION, a folder of CSV files or a recording, holds.
 

@@ -11,15 +11,15 @@ from microbot_ros.common.plausible import plausible_range
 
 namespace_option = click.option(
     '--namespace', default='/', show_default=True, metavar='NAME',
-    help='Which rig, where its nodes run in a ROS namespace of their own.')
+    help="ROS namespace of the rig's nodes.")
 
 
 cockpit_option = click.option(
-    '--cockpit', is_flag=True, help="Serve the operator's page beside; see `microbot cockpit`.")
+    '--cockpit', is_flag=True, help="Also serve the operator's page; see `microbot cockpit`.")
 
 
 force_option = click.option(
-    '--force', is_flag=True, help='Replace what an earlier run left there.')
+    '--force', is_flag=True, help='Replace the results of an earlier run.')
 
 
 class FiniteFloatRange(click.FloatRange):

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
               help='Folder for report.html, summary.json and the figures.')
 @click.option('--repetitions', type=click.IntRange(min=1), default=20, show_default=True,
-              help='How often to repeat the experiment, each with its own legs and chance.')
+              help='Number of repetitions of the experiment, each with its own legs and random '
+                   'numbers.')
 @click.option('--seed', type=click.IntRange(min=0), default=1, show_default=True,
-              help='Seed of the first repetition; the others follow on.')
+              help='Seed of the first repetition; the others use the following seeds.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write the summary here.')
+              help='Write the summary as JSON to this file.')
 def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> None:
     """Repeat the paper's three-particle experiment in simulation and compare.
 

@@ -24,21 +24,25 @@ _FARTHEST = 1e6
 
 @click.command()
 @click.option('--model', 'model_file', type=click.Path(path_type=Path),
-              help='Model and particles, as `microbot discover` leaves them.')
+              help='Model and particles: a model.yaml of `microbot discover`.')
 @click.option('--particle', 'particles', multiple=True, metavar='V_UM_S,PHI_RAD',
-              help='Speed and angle of a particle, once for each, instead of those of the model.')
+              help="Speed and angle of a particle, in place of the model's; repeat for each "
+                   'particle.')
 @click.option('--at', 'places', multiple=True, required=True, metavar=_PAIR,
-              help='Where a particle is, once for each.')
+              help='Position of a particle; repeat for each particle.')
 @click.option('--goal', 'goals', multiple=True, required=True, metavar=_PAIR,
-              help='Where it should be, once for each.')
+              help='Goal of a particle; repeat for each particle.')
 @click.option('--alignment-times-s', metavar='S,S,...',
-              help='Alignment time of each particle, where they differ.')
+              help='Alignment time of each particle, if they differ.')
 @click.option('--seconds', default=10.0, show_default=True, type=FiniteFloatRange(0.1, 3600),
-              help='For how long commands are tried.')
+              help='Duration of the commands that are tried.')
 @click.option('--field-mt', default=5.0, show_default=True, type=FiniteFloatRange(0.001, 1000),
-              help='Limit of the field.')
-@click.option('--figure', type=click.Path(path_type=Path), help='Draw it into this PNG or PDF.')
-@click.option('--json', 'json_file', type=click.Path(path_type=Path), help='Write all numbers.')
+              help='Largest field.')
+@click.option('--figure', type=click.Path(path_type=Path), help='Draw the result to this PNG '
+                                                                'or PDF.')
+@click.option('--json', 'json_file', type=click.Path(path_type=Path), help='Write all numbers '
+                                                                           'as JSON to this '
+                                                                           'file.')
 def command(model_file: Path | None, particles: tuple[str, ...], places: tuple[str, ...],
             goals: tuple[str, ...], alignment_times_s: str | None, seconds: float,
             field_mt: float, figure: Path | None, json_file: Path | None) -> None:
@@ -150,7 +154,8 @@ def _tell(result: dict[str, Any]) -> None:
     click.echo(f"{result['particles']} particles: {result['reachable_dimensions']} of "
                f"{result['dimensions']} dimensions are reachable under the first-order model")
     click.echo(f"best together: {shared['time_s']:.2f} s along {shared['direction_rad']:.3f} rad; "
-               f"floor {result['floor_um']:.2f} µm RMS, which no controller beats there")
+               f"floor {result['floor_um']:.2f} µm RMS, the least that any controller can reach "
+               'there')
     if result['particles'] > 1:
         click.echo(f"beyond it, RMS in {result['opened_in_s']:g} s along the closed directions:")
         for handle, values in result['opened_um'].items():

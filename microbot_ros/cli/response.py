@@ -23,13 +23,13 @@ _OUTPUTS = ('response.csv', 'response.json', 'response.parquet', 'response.png',
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
               help='Folder for response.csv, .parquet, .json, the figures and the page.')
 @click.option('--against', type=click.Choice(['frequency', 'field', 'tilt']), default='frequency',
-              show_default=True, help='What was commanded: rotation, field strength, or the tilt '
-                                      'of the axis of rotation.')
+              show_default=True, help='Commanded quantity: rotation, field strength, or the '
+                                      'tilt of the axis of rotation.')
 @click.option('--definition', type=click.Choice(['motion', 'tables']), default='motion',
-              show_default=True, help="How speed is measured: motion along the command where "
-                                      "nothing changes, or as a laboratory's tables state it.")
+              show_default=True, help='Definition of speed: motion along a constant command, '
+                                      "or the definition of a laboratory's tables.")
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write the content of response.json here.')
+              help='Write the content of response.json to this file too.')
 @force_option
 def command(sources: tuple[Path, ...], out: Path, against: Against, definition: Definition,
             json_path: Path | None, force: bool) -> None:
@@ -89,7 +89,8 @@ def command(sources: tuple[Path, ...], out: Path, against: Against, definition: 
                   f'{", .parquet" if parquet else ""}, .json; response.png, .pdf; response.html',
                   markup=False)
     if not parquet:
-        progress.print("no response.parquet: pip install 'microbot_ros[dask]' brings PyArrow")
+        progress.print('no response.parquet: install PyArrow with pip install '
+                       "'microbot_ros[dask]'")
 
 
 def _sessions(sources: tuple[Path, ...]) -> list[Path]:
@@ -107,8 +108,8 @@ def _sessions(sources: tuple[Path, ...]) -> list[Path]:
         own = sorted(path for path in inside.iterdir() if (path / 'tracks.csv').is_file()) \
             if inside.is_dir() else []
         if not own:
-            raise InputError(source, 'expected an archive with sessions; microbot batch import '
-                                     'or track makes them')
+            raise InputError(source, 'expected an archive with sessions, made by microbot batch '
+                                     'import or track')
         found += own
     return found
 

@@ -14,9 +14,9 @@ from microbot_ros.cli.options import force_option
 @click.command()
 @click.argument('scenario_yaml', metavar='SCENARIO.yaml', type=click.Path(path_type=Path))
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='SESSION',
-              help='Folder for the session; its truth.yaml says what was put in.')
+              help='Folder for the session; its truth.yaml lists the simulated parameters.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write the truth and the number of rows as JSON.')
+              help='Write the truth and the number of rows as JSON to this file.')
 @force_option
 def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool) -> None:
     """Simulate SCENARIO.yaml: particles, fluid, camera, commands and any hidden effects.

@@ -50,6 +50,6 @@ def _folder() -> Path:
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
     if found.st_uid != os.getuid() or found.st_mode & 0o077 or folder.is_symlink():
-        raise InputError(folder, 'expected a folder that only this user can open, for the address '
-                         'of the cockpit')
+        raise InputError(folder, 'expected a folder that only this user can open, for the '
+                                 "cockpit's address file")
     return folder

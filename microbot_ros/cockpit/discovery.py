@@ -63,7 +63,7 @@ class Discovery:
         """What the page shows of it; before the first run of the result of a discovery
         `elsewhere`; None where there is nothing to show."""
         if not self._told:
-            return {'running': False, 'sentence': 'found by another discovery beside the rig',
+            return {'running': False, 'sentence': 'another discovery beside the rig',
                     **summary(elsewhere)} if elsewhere else None
         found = summary(self._result)
         left_s = round(max(self._until_s - time.monotonic(), 0.0)) if self.running else None
@@ -84,11 +84,11 @@ class Discovery:
         already, and where the rig is not armed."""
         async with self._turn:
             if self.running:
-                raise RefusedError('discovery is driving already')
+                raise RefusedError('discovery is already driving')
             if self._over:
                 raise RefusedError('the cockpit is ending')
             if rig != 'armed':
-                raise RefusedError('the rig is not armed, and discovery drives it: arm it first')
+                raise RefusedError('the rig is not armed; discovery drives the rig: arm it first')
             self._out = self._folder / f'{datetime.now():%Y-%m-%d_%H-%M-%S}'
             self._result, self._odds, self._told = {}, {}, 'starting'
             self._seconds = 60 * minutes
@@ -101,7 +101,7 @@ class Discovery:
                 env={**os.environ, PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
                      'COLUMNS': '1000'})
             self._reader = asyncio.create_task(self._follow(self._process))
-        return f'driving for {minutes:g} min at most; into {self._out}'
+        return f'driving for at most {minutes:g} min; results in {self._out}'
 
     async def stop(self) -> Answer:
         """Have it end and write what it knows; RefusedError where it does not run."""
@@ -109,7 +109,7 @@ class Discovery:
             if self._process is None:
                 raise RefusedError('discovery is not driving')
             self._signal(signal.SIGTERM)
-        return 'told to end'
+        return 'stopped on request'
 
     async def end(self) -> None:
         """Leave nothing behind when the server ends."""

@@ -50,7 +50,7 @@ class Gatekeeper:
 
     def __init__(self, app: ASGIApp, host: str, port: int, open_to_all: bool = False) -> None:
         if open_to_all and not is_loopback(host):
-            raise InputError('token', f'expected true where pages come over a network ({host})')
+            raise InputError('token', f'expected true: pages are served over a network ({host})')
         self._app = app
         self._names = set(_names(host))
         self._anywhere = not is_loopback(host) and _is_wildcard(host)

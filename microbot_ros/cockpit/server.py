@@ -57,7 +57,7 @@ _CURVE, _CURVE_S = 240, 0.25
 """Points of a curve that are kept, and the time [s] between them."""
 _DRAWN = ('v_um_s', 'v_std_um_s', 'phi_deg', 'phi_std_deg')
 _FOREIGN = 'another page has control'
-_LATE = 'the cockpit stood still, and does nothing late: ask again'
+_LATE = 'the cockpit was blocked and sends nothing late: ask again'
 
 _log = logging.getLogger(__name__)
 
@@ -342,7 +342,8 @@ class Server:
                 page.in_work += 1
                 self._begin(self._perform(page, verb))
             case _:
-                page.tell(_answer(verb.id, False, f'{_MOST_IN_WORK} others are still in work'))
+                page.tell(_answer(verb.id, False, f'{_MOST_IN_WORK} requests are still in '
+                                                  'progress'))
 
     def _begin(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)
@@ -439,7 +440,7 @@ def _listen(host: str, port: int) -> socket.socket:
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
         made = socket.socket(family, kind, protocol)
     except (OSError, UnicodeError) as error:
-        raise InputError('host', f'expected a name or an address of this machine: {error}'
+        raise InputError('host', f'expected a host name or address of this machine: {error}'
                          ) from None
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -448,6 +449,6 @@ def _listen(host: str, port: int) -> socket.socket:
         made.listen(64)
     except OSError as error:
         made.close()
-        raise InputError('cockpit', f'cannot listen at {host}, port {port}: {error.strerror}'
+        raise InputError('cockpit', f'cannot listen on {host}, port {port}: {error.strerror}'
                          ) from None
     return made

@@ -47,7 +47,7 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
     tree, content = load_yaml(path)
     content = content or {}
     if not isinstance(content, dict):
-        raise InputError(path, 'expected keys and values at the top level', 1)
+        raise InputError(path, 'expected a mapping (key: value) at the top level', 1)
     try:
         return settings.model_validate(content, context={'folder': path.parent})
     except pydantic.ValidationError as error:
@@ -70,7 +70,7 @@ def load_yaml(path: str | Path, loader: type[strict_yaml.StrictLoader] = strict_
             raise strict_yaml.YamlError(f'at most {strict_yaml.LARGEST_BYTES // 2**20} MB')
         return strict_yaml.load(path.read_text(encoding='utf-8'), loader)
     except UnicodeDecodeError:
-        raise InputError(path, 'expected YAML, found bytes that are no text') from None
+        raise InputError(path, 'expected YAML text, found binary data') from None
     except OSError as error:
         raise InputError(path, f'expected a readable YAML file ({error.strerror})') from None
     except strict_yaml.YamlError as error:
@@ -142,8 +142,8 @@ def writing_report(path: Path) -> Iterator[None]:
         last = traceback.extract_tb(error.__traceback__)[-1]
         raise ReportError(
             f'{path}: not written, {clipped(f"{type(error).__name__}: {error}")} '
-            f'({Path(last.filename).name}:{last.lineno}). The results beside it are complete; '
-            'please report this fault') from error
+            f'({Path(last.filename).name}:{last.lineno}). The other results are complete; please '
+            'report this fault') from error
 
 
 def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None:
@@ -168,7 +168,7 @@ def output_folder(path: str | Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(dir=path.parent, prefix=f'.{path.name}.'))
     except OSError as error:
-        problem = f'expected a folder that can be written ({error.strerror})'
+        problem = f'expected a writable folder ({error.strerror})'
         raise InputError(path, problem) from None
     try:
         yield scratch

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 
-COMPILES = 'the first time code is compiled, which can take minutes; it is kept'
+COMPILES = 'compiling code for the first time; this can take minutes and is kept'
 
 _who_tells: list[tuple[int, Callable[[str], None]]] = []
 

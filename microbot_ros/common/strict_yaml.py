@@ -43,7 +43,7 @@ class StrictLoader(yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
             name = str(event.anchor)
             if name in self.anchors and name not in self._written_out:
-                _refuse(f"'*{clipped(name)}' stands within itself", event.start_mark)
+                _refuse(f"'*{clipped(name)}' refers to itself", event.start_mark)
             self._nodes += self._written_out.get(name, 0)
         self._depth += 1
         if self._depth > _DEEPEST:

@@ -212,8 +212,23 @@ class ControllerInput:
         """Return the row of a `particle`; ParticleLostError if it is not tracked."""
         rows = np.flatnonzero(self.ids == particle)
         if not rows.size:
-            raise ParticleLostError(f'particle {particle} is not seen')
+            raise ParticleLostError(f'particle {particle} is not tracked')
         return int(rows[0])
+
+    def require_particles(self) -> None:
+        """Raise ParticleLostError if no particle is tracked."""
+        if not len(self.ids):
+            raise ParticleLostError('no particle is tracked')
+
+    def require_rollers(self) -> None:
+        """Raise ModelError without a model of rollers."""
+        if self.model is None or self.model.propulsion != 'rolling':
+            raise ModelError('drives rollers: set model_file to a model with propulsion: rolling')
+
+    def refuse_rollers(self) -> None:
+        """Raise ModelError for a model of rollers."""
+        if self.model is not None and self.model.propulsion == 'rolling':
+            raise ModelError('drives self-propelled particles; the model is of rollers')
 
     def learned(self, phi_std: float) -> np.ndarray:
         """Return which particles (N,) have a known φ, to a standard deviation `phi_std` [rad]."""

@@ -82,7 +82,7 @@ class ControllerThread:
         _, fresh, call = self._prepared
         if not self._aside.finished(call, seconds):
             if time.monotonic() - call.begun <= CONFIGURING:
-                raise ConfiguringError(f'is still being configured, aside: {AGAIN}')
+                raise ConfiguringError(f'is still being configured in the background: {AGAIN}')
             self._drop_prepared()
             raise LateError(f'took longer than {CONFIGURING:g} s')
         if call.error is not None:

@@ -24,6 +24,9 @@ class LateError(Exception):
 class BusyError(LateError):
     """An earlier call has not returned yet; this one was not started."""
 
+    def __init__(self) -> None:
+        super().__init__('is still computing the previous command')
+
 
 class HungError(Exception):
     """A call has not returned for so long that it was abandoned."""
@@ -114,7 +117,7 @@ class DeadlineWorker:
         if waited > self._patience:
             self.leave_behind()
             raise HungError(f'did not return for {waited:.1f} s')
-        raise BusyError('has not returned from the tick before')
+        raise BusyError()
 
 
 class UnhurriedWorker(DeadlineWorker):

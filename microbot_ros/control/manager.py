@@ -238,7 +238,7 @@ class ControllerManager:
         except Exception as error:
             result = Result.FAULT
             self._fault = why = f'{self._active}: {reason(error)}'
-            _log.error('%s; the field is let go', why)
+            _log.error('%s; the field is set to zero', why)
         return no_field(why), result, why
 
 
@@ -269,9 +269,11 @@ def _checked(command: FieldCommand, limits: Limits) -> FieldCommand:
         raise ValueError(f'commanded a field of {len(field)} components; expected 2 or 3')
     strength = math.hypot(*field.tolist())
     if not strength <= limits.field * (1 + 1e-9):
-        raise ValueError(f'commanded {strength * 1e3:g} mT; the limit is {limits.field * 1e3:g}')
+        raise ValueError(f'commanded {strength * 1e3:g} mT; the limit is {limits.field * 1e3:g} '
+                         'mT')
     if not 0 <= command.frequency <= limits.frequency:
-        raise ValueError(f'commanded {command.frequency:g} Hz; expected 0 to {limits.frequency:g}')
+        raise ValueError(f'commanded {command.frequency:g} Hz; expected 0 to {limits.frequency:g} '
+                         'Hz')
     return dataclasses.replace(
         command, field=field, frequency=float(command.frequency), axis=_unit(command.axis))
 

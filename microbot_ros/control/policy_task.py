@@ -99,7 +99,7 @@ class PolicyTask:
             self.waiting = np.ones(len(inputs.goals), bool)
         rows = self._assignment.pairs(inputs)[0]
         if lost := len(self.waiting) - len(rows):
-            raise ParticleLostError(f'{lost} of the particles that have goals are not seen')
+            raise ParticleLostError(f'{lost} of the particles with goals are not tracked')
         return rows
 
     def observation(self, inputs: ControllerInput) -> np.ndarray:

@@ -55,10 +55,10 @@ def _handles(axes: Axes, found: Reach, beyond: dict[str, np.ndarray], planned: f
         axes.bar(np.arange(len(values)) + (k - 1) * width, values * 1e6, width,
                  color=_COLOURS[k], label=HANDLES[handle])
     axes.axhline(found.floor * 1e6, color='black', lw=1, ls='--', label='first-order floor')
-    axes.axhline(planned * 1e6, color='black', lw=1, ls=':', label='left by one manoeuvre')
+    axes.axhline(planned * 1e6, color='black', lw=1, ls=':', label='after one manoeuvre')
     axes.set(xlabel='direction closed to the first-order model', xticks=np.arange(count),
              xticklabels=[str(k + 1) for k in range(count)],
-             ylabel=f'RMS opened in {seconds:g} s [µm]', title='What the model opens beyond')
+             ylabel=f'RMS opened in {seconds:g} s [µm]', title='Directions that the model opens')
     axes.set_ylim(0, 1.45 * axes.get_ylim()[1])
     axes.legend(fontsize=8, loc='upper right')
     axes.grid(alpha=0.25, axis='y')

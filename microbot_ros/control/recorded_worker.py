@@ -54,7 +54,7 @@ class RepeatingWorker(UnhurriedWorker):
     def call(self, function: Callable[[], T], deadline: float) -> T:
         letter = self._letter()
         if letter == BUSY:
-            raise BusyError('has not returned from the tick before')
+            raise BusyError()
         if letter == HUNG:
             raise HungError(f'did not return for {self._patience:g} s')
         if letter == LATE:

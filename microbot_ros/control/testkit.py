@@ -69,10 +69,10 @@ def exercise(kind: type[Controller]) -> None:
     """
     assert kind.interface_version == INTERFACE_VERSION, 'written for another interface version'
     assert kind.summary.strip(), 'has no summary'
-    assert kind.takes is not None, "does not say what it takes: 'takes = frozenset({Input.GOALS})'"
+    assert kind.takes is not None, "does not state its inputs: 'takes = frozenset({Input.GOALS})'"
     assert set(kind.takes) <= set(Input), f"'takes' must hold members of Input: {kind.takes}"
     for name in settings.defaults(kind.Parameters):
-        assert settings.about(kind.Parameters, name).description, f'{name} is not described'
+        assert settings.about(kind.Parameters, name).description, f'{name} has no description'
     _acts_on_nothing_else(kind)
     controller = kind()
     controller.configure(kind.Parameters())
@@ -140,11 +140,12 @@ def _answer(controller: Controller, shown: ControllerInput) -> None:
         command = controller.compute(shown)
     except ControllerError as error:
         reason = str(error)
-    assert command or reason, 'raises an error that says nothing'
+    assert command or reason, 'raises an error without a message'
     if command:
         field = np.asarray(command.field, dtype=float)
         assert field.shape in ((2,), (3,)), f'field of shape {field.shape} at t = {shown.t:g} s'
-        assert np.linalg.norm(field) <= shown.limits.field * (1 + 1e-9), f'{field} T is too much'
+        assert np.linalg.norm(field) <= shown.limits.field * (1 + 1e-9), (
+            f'field {field} T exceeds the limit')
         assert 0 <= command.frequency <= shown.limits.frequency, f'{command.frequency} Hz'
     for name, content in before.items():
         assert getattr(shown, name).tobytes() == content, f'changed {name} of the input'

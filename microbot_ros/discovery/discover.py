@@ -95,13 +95,13 @@ def discover(sessions: Sequence[Session],
     prepared, remarks = check_sessions(sessions)
     run: Run = partial(in_processes, jobs=jobs) if jobs > 1 else serially
     known = consider(prepared, (), report, run)
-    report('mapping what is left')
+    report('mapping the residuals')
     judgement = judge(known, run)
     report('asking whether something is there that no name explains')
     judgement = scrutinised(known, judgement, report)
     start = known.start
     learned = _learned(known, report) if judgement.left else None
-    report('predicting what was held out')
+    report('predicting held-out data')
     predicted = hold_out(
         learned.fit if learned else known.fit, [p.session for p in start.session_fits],
         known.credible, truth, run, partial(relearn, learned.findings) if learned else None)
@@ -201,8 +201,8 @@ def _reservations(known: Hypotheses, judgement: Judgement) -> list[str]:
         told.append(f'{words(name)}: too small to be told from an error of camera, time stamps or '
                     f'coils, and not named (floor: {floors}).')
     return told + [
-        f'{words(name)}: recorded for less than {EFFECTS[name].lookalike_time:.0f} s, in which '
-        'something else that differs from place to place, or in time, may look like it.'
+        f'{words(name)}: recorded for less than {EFFECTS[name].lookalike_time:.0f} s. In that '
+        'time another quantity that varies with position or time can look like it.'
         for name in judgement.early]
 
 
@@ -224,10 +224,11 @@ def _unsteady(fit: ModelFit) -> list[str]:
             f'directions of travel fluctuate by {np.degrees(p.wander):.1f}°': p.wander > NOTED,
             f'a step of {TRAVELLED * 1e6:g} µm varies by {p.unevenness(TRAVELLED) * 1e6:.2g} µm':
                 p.unevenness(TRAVELLED) > NOTED * TRAVELLED,
-            f'positions swing along the motion by {p.swing * 1e6:.2g} µm (standard deviation), as '
-            'of particles that roll unevenly': p.swing > p.localisation,
+            'positions oscillate along the motion by '
+            f'{p.swing * 1e6:.2g} µm (standard deviation), as for '
+            'particles that roll unevenly': p.swing > p.localisation,
             f'commands act up to {p.jitter * 1e3:.2g} ms (standard deviation) earlier or later '
-            'than elsewhere': p.jitter > NOTED * p.session.interval,
+            'than usual': p.jitter > NOTED * p.session.interval,
         }
         if found := [one for one, noted in parts.items() if noted]:
             told.append(f'{p.session.name}: {"; ".join(found)}. This is part of the noise.')
@@ -244,9 +245,9 @@ def _unlike_fit(start: ModelFit, fit: ModelFit) -> list[str]:
         return []
     what, unit = ('gain', 'µm/s/Hz') if fit.model.propulsion == 'rolling' else ('speed', 'µm/s')
     usual, found = (float(np.median(one[moved])) * 1e6 for one in (before, after))
-    return [f'The {what} is {found:.3g} {unit} (median) beside the effects. It is {usual:.3g} '
-            f'{unit} in the first-order model, which is that of microbot fit: the effects change '
-            'speeds on average.']
+    return [f'The {what} is {found:.3g} {unit} (median) with the effects and {usual:.3g} '
+            f'{unit} in the first-order model of microbot fit: the effects change the mean '
+            'speed.']
 
 
 def _beyond_commands(fit: ModelFit) -> list[str]:
@@ -274,8 +275,8 @@ def _confounded(fit: ModelFit) -> list[str]:
     late = [name for name, effect in EFFECTS.items() if effect.absorbed_by_phi(evidence)]
     if not late:
         return []
-    return [f'φ can’t be told from {" or ".join(late)} under this command, which turns one way '
-            'only: turn both ways, or in steps.']
+    return [f'φ cannot be distinguished from {" or ".join(late)} under this command, which turns '
+            'one way only: turn both ways, or in steps.']
 
 
 def _deviations(fit: ModelFit, name: str) -> list[tuple[Parameter, float, float]]:

@@ -48,7 +48,7 @@ class _Plan:
 
 _MENU = (
     _Plan('steps in all directions, each held for 2 to 6 s', (2.4, -1.3, 0.7, -2.9, 1.8, -0.4)),
-    _Plan('quick steps in all directions, each held for 0.3 to 1 s',
+    _Plan('short steps in all directions, each held for 0.3 to 1 s',
           (2.4, -1.3, 0.7, -2.9, 1.8, -0.4), hold=(0.3, 1.0)),
     _Plan('steps in all directions at full and at a third of the field magnitude',
           (2.4, -1.3, 0.7, -2.9, 1.8, -0.4), levels=(1.0, 1 / 3, 1 / 3, 1.0, 1.0, 1 / 3, 1.0)),
@@ -56,7 +56,7 @@ _MENU = (
           (3.05, 0.52, -3.05, -0.52), hold=(2.0, 2.0)),
     _Plan('straight there and back, 20 s each way, twice, at right angles',
           (np.pi, np.pi / 2), hold=(20.0, 20.0)),
-    _Plan('a square walked round both ways, 5 s a side', (1.571, 1.571, 1.571, 1.571, -1.571,
+    _Plan('a square driven in both senses, 5 s per side', (1.571, 1.571, 1.571, 1.571, -1.571,
                                                         -1.571, -1.571, -1.571), hold=(5.0, 5.0)),
 )
 """Candidate plans. Choice: each excites effects that the others excite weakly."""
@@ -96,8 +96,9 @@ def next_experiment(fit: ModelFit, rivals: Sequence[Model],
     minutes = TRIAL / 60 * DECIDES / max(worth[best], 1e-9)
     if minutes > LONGEST:
         return NextExperiment(
-            'no command tells these apart: measure one of them by itself, with a calibration '
-            'grid for the camera, a field probe for the coils, passive beads for the flow', np.inf)
+            'no command distinguishes these: measure one of them separately, with a '
+            'calibration grid for the camera, a field probe for the coils, passive beads for '
+            'the flow', np.inf)
     span = f'{round(minutes)} min' if minutes > 1 else 'a minute'
     return NextExperiment(f'record {_MENU[best].words}, for {span}', float(minutes))
 

@@ -171,7 +171,7 @@ class NamedEffect:
             f'{name.removesuffix(suffix(name))} = {_told(name, e)}'
             for name, e in self.parameters.items())
         alias = ', '.join(self.indistinguishable_from)
-        doubt = f'; cannot be told from {alias}' if alias else ''
+        doubt = f'; cannot be distinguished from {alias}' if alias else ''
         return f'{self.status} {self.id}: {values} (ΔBIC {self.delta_bic:.0f}){doubt}.'
 
     def as_json(self) -> dict[str, Any]:
@@ -233,13 +233,14 @@ class Gap:
             In µm.
         """
         if not np.isfinite([self.before, self.after, self.floor]).all():
-            return ['How well the model predicts is not known: no particle is seen long enough in '
-                    f'a part of the recording that was held out, {self.horizon:.3g} s at least.']
+            return ['The accuracy of the prediction is not known: no particle is seen long '
+                    f'enough in a held-out part of the recording, {self.horizon:.3g} s at '
+                    'least.']
         has_learned = np.isfinite(self.learned)
         told = [
             f'Prediction {self.horizon:.3g} s ahead, held out: {self.before * 1e6:.2f} µm over '
             f'the noise floor of {self.floor * 1e6:.2f} µm before, {self.after * 1e6:.2f} µm after'
-            + (f', {self.learned * 1e6:.2f} µm with what was learned.' if has_learned else '.')]
+            + (f', {self.learned * 1e6:.2f} µm with the learned term.' if has_learned else '.')]
         closed = self.closed_by_learned if has_learned else self.closed
         if closed.std > 0:
             value, low, high = (x * 1e12 for x in (closed.value, closed.low, closed.high))
@@ -406,9 +407,10 @@ class Learned:
         term = self.term
         form = f': {term.formula}' if term.formula else ', a curve that no formula fits'
         like = f' It looks like {self.looks_like}.' if self.looks_like else ''
-        rest = f' Something is left against {", ".join(self.left[:3])}.' if self.left else ''
+        rest = f' Residuals remain against {", ".join(self.left[:3])}.' if self.left else ''
         return (f'A term of the {term.acts_on} was learned against {term.against} '
-                f'({FRAMES[term.frame]}){form}.{like}{rest} A curve is not a cause.')
+                f'({FRAMES[term.frame]}){form}.{like}{rest} A fitted curve does not name a '
+                'cause.')
 
     def as_json(self, gap: float) -> dict[str, Any]:
         """Return the entry of `learned` in `result.json`.
@@ -522,12 +524,12 @@ class Discovery:
         against = ', '.join(m.against for m in self.unexplained)
         said = {
             'consistent': [('The first-order model explains the data' + (
-                ', but for a hint:' if self.effects else ': nothing is missing.')),
-                *([f'What is left, against {against}, is no help in predicting.']
+                ', with one hint:' if self.effects else ': no effect was found.')),
+                *([f'The residuals against {against} do not improve the prediction.']
                   if against else [])],
-            'named': [f'What is left, against {against}, is small beside:' if against else
+            'named': [f'The residuals, against {against}, are small compared with:' if against else
                       'The model is complete with:'],
-            'unnamed': ['Something is there that no effect of the library explains; it depends on '
+            'unnamed': ['The data show an effect that is not in the library; it depends on '
                         f'{against}.'],
         }[self.verdict]
         said += [effect.sentence() for effect in self.effects]

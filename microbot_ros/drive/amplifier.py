@@ -52,9 +52,9 @@ commands that differ little."""
 class Watchdog(StrEnum):
     """Mechanism that zeroes the coils when this computer fails."""
 
-    ARMED = 'armed in the device, and read back'
-    FIRMWARE = 'in the firmware, where it has one: arming tries it out'
-    UNCONFIRMED = 'armed in the device, which never says so'
+    ARMED = 'set in the device and read back'
+    FIRMWARE = 'in the firmware, if it has one: arming tests it'
+    UNCONFIRMED = 'set in the device, which does not confirm it'
     NONE = 'none'
 
 
@@ -221,8 +221,8 @@ class Amplifier(ABC):
     def __init__(self, url: str, full_scale_A: float | Sequence[float],
                  channels: int = len(COILS)) -> None:
         if not 1 <= channels <= self.most_channels:
-            raise InputError('amplifier', f'expected 1 to {self.most_channels} coils, which '
-                             f'{type(self).__name__} can drive; received {channels}')
+            raise InputError('amplifier', f'expected 1 to {self.most_channels} coils for '
+                                          f'{type(self).__name__}; received {channels}')
         self.url = url
         self.urls: tuple[str, ...] = (url,)
         """The ports, one for each serial line."""
@@ -459,11 +459,12 @@ class Amplifier(ABC):
         found = self._found[url] = self.adapter_at(url)
         bound = self._adapters.get(url)
         if found is not None and not found.may_be_named(url):
-            raise WrongDeviceError(url, 'the adapter of that name', str(found))
+            raise WrongDeviceError(url, 'the USB adapter that the port names', str(found))
         # Where there is nothing at all, opening says so.
         if bound not in (None, found) and (found is not None or Path(url).exists()):
             raise WrongDeviceError(url, f'the adapter {bound}',
-                                   'one without USB identity' if found is None else str(found))
+                                   'a port that is not a USB '
+                                   'adapter' if found is None else str(found))
         return self.open_port(url, baud, **options)
 
     def _lose(self, error: UnreachableError) -> None:

@@ -58,12 +58,11 @@ _DISARMING_S = 0.2
 STOPPED = 'the rig was stopped after this was asked; ask again'
 """Why arming is refused that was requested before a stop, a trip or a signal."""
 WITHOUT_WATCHDOG = ('if this computer loses its power while coils are driven, the last currents '
-                    'flow on until somebody switches the amplifier off')
-UNWATCHABLE = ('no process can watch over a port of this kind: if this program is killed, the '
-               'last currents flow on')
-WITHOUT_FEEDBACK = ('a coil that is open, shorted or reversed goes unnoticed, and so does a '
-                    'current that flows without a command or a timeout that the amplifier did not '
-                    'take')
+                    'flow until the amplifier is switched off by hand')
+UNWATCHABLE = ('the sentinel cannot open a port of this kind: if this program is killed, the last '
+               'currents flow on')
+WITHOUT_FEEDBACK = ('an open, shorted or reversed coil goes unnoticed, and so do a current '
+                    'without a command and a timeout that the amplifier did not accept')
 
 _log = logging.getLogger(__name__)
 
@@ -177,30 +176,29 @@ class CoilDriver:
 
     def _refuse_unwatched(self, accepted: bool) -> None:
         if self._unwatched and not self._watched and not accepted:
-            raise InputError('accept_no_watchdog', f'{UNWATCHABLE}; expected true from whoever '
-                             'accepts that')
+            raise InputError('accept_no_watchdog', f'{UNWATCHABLE}; set it to true to accept that')
         if self.amplifier.watchdog is Watchdog.ARMED or self._unwatched:
             return
         if not (self._tries_watchdog and self._checks):
-            raise InputError('accept_no_watchdog', 'the amplifier has no watchdog that could be '
-                             f'relied on: {WITHOUT_WATCHDOG}; expected true from whoever accepts '
-                             'that')
+            raise InputError('accept_no_watchdog', 'the amplifier has no reliable watchdog: '
+                                                   f'{WITHOUT_WATCHDOG}; set it to true to '
+                                                   'accept that')
 
     def _refuse_blind(self, accepted: bool) -> None:
         if not accepted:
-            raise InputError('accept_no_feedback', 'the amplifier reads no currents back: '
-                             f'{WITHOUT_FEEDBACK}; expected true from whoever accepts that')
+            raise InputError('accept_no_feedback', 'the amplifier measures no currents: '
+                                                   f'{WITHOUT_FEEDBACK}; set it to true to '
+                                                   'accept that')
         if self._checks:
-            raise InputError('self_check', 'expected false, as the amplifier reads no currents '
-                             'back')
+            raise InputError('self_check', 'expected false: the amplifier measures no currents')
 
     @property
     def warning(self) -> str:
         """Warning for the operator who arms; '' if there is none."""
         if not self.amplifier.reads_back:
-            warnings = [f'no currents are measured: {WITHOUT_FEEDBACK}']
+            warnings = [f'the amplifier measures no currents: {WITHOUT_FEEDBACK}']
         elif self._unwatched:
-            warnings = [f'no watchdog in the amplifier: {WITHOUT_WATCHDOG}']
+            warnings = [f'the amplifier has no watchdog: {WITHOUT_WATCHDOG}']
         else:
             return ''
         return '; '.join(warnings if self._watched else [*warnings, UNWATCHABLE])
@@ -335,7 +333,7 @@ class CoilDriver:
             return answer.result(_ARMING_S)
         except TimeoutError:
             self.disarm()
-            return f'the driver did not answer within {_ARMING_S:g} s'
+            return f'the coil driver did not answer within {_ARMING_S:g} s'
 
     def request_zero(self, fault: tuple[Reason, str] | None = None) -> threading.Event:
         """Zero and disarm, without waiting.
@@ -467,7 +465,7 @@ class CoilDriver:
 
     def _finish(self) -> None:
         self.gate.revoke()
-        self._answer_arming('the driver stopped')
+        self._answer_arming('the coil driver stopped')
         self._disconnect()
 
     def _serve(self) -> None:
@@ -498,7 +496,7 @@ class CoilDriver:
         if not self.gate.armed:
             self._answer_arming(self._refusal())
         if self._last_resort is not None and not self._last_resort.feed():
-            self.gate.trip(Reason.INTERNAL, 'the process that watches over this one is gone')
+            self.gate.trip(Reason.INTERNAL, 'the sentinel process ended')
             self._write()
             self._last_resort.abandon()
             self._start_last_resort()
@@ -624,7 +622,7 @@ class CoilDriver:
             answer.set_result(STOPPED)
             return
         if self._arming is not None or not self.connected or self.amplifier.fault:
-            answer.set_result('the self-check is going on' if self._arming is not None else
+            answer.set_result('a self-check is already running' if self._arming is not None else
                               self.amplifier.fault or 'the amplifier is not connected')
             return
         if self.gate.armed:
@@ -665,7 +663,7 @@ class CoilDriver:
 
     def _survive(self, error: Exception) -> None:
         """Handle any failure, of a subscriber or of this code: zero, and continue the thread."""
-        _log.exception('in the driver of the coils')
+        _log.exception('in the coil driver')
         self.gate.trip(Reason.INTERNAL, repr(error))
         with suppress(Exception):
             self._write()

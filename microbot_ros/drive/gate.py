@@ -59,21 +59,21 @@ class Limits:
 class Reason(StrEnum):
     """Reason why the gate revoked its permission."""
 
-    MALFORMED = 'not a finite number for each coil'
+    MALFORMED = 'currents are not finite numbers, one per coil'
     LIMIT = 'current limit'
     SLEW = 'slew limit'
     STALE = 'stale command'
-    IDLE = 'nobody commands'
-    COMMANDER = 'another commander'
+    IDLE = 'no commands'
+    COMMANDER = 'second commander'
     DEVIATION = 'measured current deviates'
     SILENCE = 'no measurement'
     HEAT = 'coil heat'
     DEVICE = 'fault of the amplifier'
     SELF_CHECK = 'self-check'
-    UNATTENDED = 'nobody attends'
-    UNCOMMANDED = 'current without a command'
-    CLOCK = 'clock went wrong'
-    LINE = 'line lost'
+    UNATTENDED = 'operator heartbeat lost'
+    UNCOMMANDED = 'current measured at zero command'
+    CLOCK = 'clock fault'
+    LINE = 'connection lost'
     INTERNAL = 'internal error'
 
 
@@ -153,13 +153,13 @@ class Gate:
         if self.armed:
             return None
         if not self._advance(now_s):
-            return f'the clock went from {self._now_s} to {now_s}'
+            return f'the monotonic clock ran backwards, from {self._now_s} to {now_s}'
         if not self._heard_from_coils(now_s):
             return f'no measured currents for {self.limits.feedback_timeout_s:g} s'
         if not all(abs(current) <= self.limits.deviation_A for current in self._measured):
-            return f'current flows without a command: {_amperes(self._measured)}'
+            return f'{_amperes(self._measured)} measured while zero is commanded'
         if not all(heat <= 1.0 for heat in self.heat):
-            return f'a coil is too hot: {max(self.heat):.0%} of what it bears'
+            return f'a coil is at {max(self.heat):.0%} of its thermal limit'
         self.armed, self.fault, self._heard_s, self._armed_s = True, None, now_s, now_s
         return None
 
@@ -276,15 +276,17 @@ class Gate:
         limit, step, slew = self.limits.current_A, self.limits.step_A, self.limits.slew_A_per_s
         largest, amplitude = self._numbers(largest_A), self._numbers(amplitude_A)
         if largest is None or amplitude is None or not math.isfinite(rate):
-            return self.trip(Reason.MALFORMED, f'a swing of {largest_A!r}, {amplitude_A!r} at '
-                             f'{rate!r} rad/s')
+            return self.trip(Reason.MALFORMED, 'rotation must be finite; received '
+                                               f'{largest_A!r} A, {amplitude_A!r} A at '
+                                               f'{rate!r} rad/s')
         if not all(-limit <= value <= limit for value in largest):
-            return self.trip(Reason.LIMIT, f'a swing to {_amperes(largest)} is not within '
-                             f'±{limit:g} A')
+            return self.trip(Reason.LIMIT, f'rotation up to {_amperes(largest)} is not within '
+                                           f'±{limit:g} A')
         if not all(2.0 * abs(value) <= step and 2.0 * abs(value * rate) / math.pi <= slew
                    for value in amplitude):
-            return self.trip(Reason.SLEW, f'a swing of ±{_amperes(amplitude)} at '
-                             f'{abs(rate) / math.tau:.3g} turns a second')
+            return self.trip(Reason.SLEW, f'±{_amperes(amplitude)} rotating at '
+                                          f'{abs(rate) / math.tau:.3g} Hz exceeds the step or '
+                                          'slew limit')
         return self.output
 
     def sent(self, now_s: float) -> None:
@@ -346,7 +348,8 @@ class Gate:
             return self.zero
         measured = self._numbers(currents_A)
         if measured is None:
-            return self.trip(Reason.MALFORMED, f'measured currents of {currents_A!r}')
+            return self.trip(Reason.MALFORMED, 'measured currents must be finite; received '
+                                               f'{currents_A!r}')
         self._measured = measured
         since_s = now_s if since_s is None else min(since_s, now_s)
         settled_s = since_s - self.limits.settling_s
@@ -370,8 +373,8 @@ class Gate:
             self.fault = Fault(Reason.UNCOMMANDED, f'{_amperes(measured)} measured while zero is '
                                'commanded')
             return self.zero
-        return self.trip(Reason.DEVIATION, f'{_amperes(measured)} measured where '
-                         f'{_amperes(self.output)} was commanded')
+        return self.trip(Reason.DEVIATION, f'{_amperes(measured)} measured, '
+                                           f'{_amperes(self.output)} commanded')
 
     def _last_seen(self, measured: Currents, before_s: float) -> float | None:
         """Return the last moment until `before_s` with whose outputs these currents agree."""
@@ -413,10 +416,11 @@ class Gate:
             return self.trip(Reason.IDLE, f'no {wanted} for {now_s - self._heard_s:.0f} s')
         if (self._attended_s >= self._armed_s - UNATTENDED_S
                 and not now_s - self._attended_s <= UNATTENDED_S):
-            return self.trip(Reason.UNATTENDED, 'no heartbeat of the operator for '
-                             f'{now_s - self._attended_s:.1f} s')
+            return self.trip(Reason.UNATTENDED, 'no operator heartbeat for '
+                                                f'{now_s - self._attended_s:.1f} s')
         if not all(heat <= 1.0 for heat in self.heat):
-            return self.trip(Reason.HEAT, f'a coil is at {max(self.heat):.0%} of what it bears')
+            return self.trip(Reason.HEAT, f'a coil is at {max(self.heat):.0%} of its thermal '
+                                          'limit')
         return self.output
 
     def _heard_from_coils(self, now_s: float) -> bool:
@@ -426,9 +430,9 @@ class Gate:
     def _silence(self, for_s: float) -> str:
         if not self._behind_s:
             return f'none for {for_s:.3f} s'
-        return (f'none of the present for {for_s:.3f} s: what is measured was commanded more than '
-                f'{self._behind_s:.3f} s ago; the line or this machine is late, or a coil does '
-                'not follow')
+        return (f'the readings of the last {for_s:.3f} s are of commands older than '
+                f'{self._behind_s:.3f} s: serial line or computer is late, or a coil does not '
+                'follow')
 
     def _advance(self, now_s: float) -> bool:
         """Bring heat and slew to `now_s`; trip if the clock runs backwards or is not finite."""

@@ -53,9 +53,9 @@ class SelfCheck:
                  tries_watchdog: bool = False) -> None:
         largest = min(limits.current_A, limits.step_A)
         if not largest > 2 * limits.deviation_A:
-            raise InputError('deviation_A', f'expected less than half of {largest:g} A, the '
-                             'largest step, so that the self-check can tell half a gain; received '
-                             f'{limits.deviation_A:g} A')
+            raise InputError('deviation_A', 'expected less than half of the largest step, '
+                                            f'{largest:g} A, so that the self-check detects '
+                                            f'half a gain; received {limits.deviation_A:g} A')
         self.pulse_A = min(_PULSE * limits.deviation_A, largest)
         self._names = names
         self._zero: Currents = (0.0,) * len(names)
@@ -128,21 +128,21 @@ class SelfCheck:
             self.watchdog_s, self.wanted = lasted_s, self._zero
             self.silent, self.done = False, True
         elif not since_s - self._pulsed_s < LONGEST_WATCHDOG_S:
-            self.complaint = ('the amplifier has no watchdog: without a command for '
-                              f'{lasted_s:.2g} s current still flowed; where that is accepted, '
-                              'set accept_no_watchdog: true')
+            self.complaint = ('the amplifier has no watchdog: current still flowed '
+                              f'{lasted_s:.2g} s after the last command; to accept that, set '
+                              'accept_no_watchdog: true')
 
     def _diagnosis(self, coil: int, currents_A: Sequence[float]) -> str:
         margin, found = self._limits.deviation_A, currents_A[coil]
         others = [self._names[other] for other, current in enumerate(currents_A)
                   if other != coil and not abs(current) <= margin]
         if others:
-            problem = f'drives {" and ".join(others)}: channels are swapped or joined'
+            problem = f'drives {" and ".join(others)}: channels are swapped or shorted together'
         elif abs(found) <= margin:
             problem = 'is open: no current flows'
         elif found < 0:
             problem = 'is reversed'
         else:
-            problem = f'has a gain of {found / self.pulse_A:.2g}'
-        return (f'{self._names[coil]} {problem} ({found:.2g} A measured where '
-                f'{self.pulse_A:.2g} A was sent)')
+            problem = f'has the wrong gain, {found / self.pulse_A:.2g}'
+        return (f'{self._names[coil]} {problem} ({found:.2g} A measured, {self.pulse_A:.2g} A '
+                'sent)')

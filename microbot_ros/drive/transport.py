@@ -112,7 +112,7 @@ class Port:
                 return
             while data:
                 if not _ready(descriptor, select.POLLOUT, _WRITE_TIMEOUT_S):
-                    raise TimeoutError(f'it takes no byte for {_WRITE_TIMEOUT_S:g} s')
+                    raise TimeoutError(f'no byte could be written for {_WRITE_TIMEOUT_S:g} s')
                 data = data[os.write(descriptor, data):]
 
     def receive(self, timeout_s: float = 0.0) -> bytes:

@@ -120,8 +120,9 @@ def camera_turn(session: Session, phi: float | None = None) -> CameraTurn:
     best, mirrored = (turned, True) if odds > 0 else (straight, False)
     usable = best.polar.phi_std < USABLE
     if not usable.any():
-        raise InputError(session.name or 'session', 'expected particles that answer the '
-                         'commands; no direction of motion follows them')
+        raise InputError(session.name or 'session', 'expected particles that respond to the '
+                                                    'commands; no direction of motion follows '
+                                                    'them')
     if not abs(odds) > CLEARLY:
         raise InputError(
             session.name or 'session', 'expected commands that show whether the picture is '

@@ -6,6 +6,14 @@
 
 Gymnasium is in the extra `gym`. Observations and actions are defined in `control.policy_task`; the
 controller `policy` runs a trained policy on a rig.
+
+Examples
+--------
+>>> import gymnasium, microbot_ros.gym
+>>> env = gymnasium.make('microbot_ros/Steering-v0')
+>>> observation, _ = env.reset(seed=0)
+>>> observation.shape == env.observation_space.shape
+True
 """
 
 try:

@@ -79,8 +79,8 @@ class SteeredWorlds:
         self.scenario = chosen if particles is None else chosen.model_copy(
             update={'particles': ()})
         if foreign := [name for name in self.scenario.effects if name not in INJECTABLE]:
-            raise InputError(self._source, f"'effects': expected effects that the physics knows, "
-                             f'not {foreign[0]} of another package')
+            raise InputError(self._source, "'effects': expected effects of the physics, not "
+                                           f'{foreign[0]} of another package')
         self._randomise = _checked(randomise or {})
         self._prepare_loop()
         self._camera = self.scenario.camera.camera()
@@ -111,7 +111,7 @@ class SteeredWorlds:
     def _prepare_loop(self) -> None:
         wanted, rate = self.scenario.controller, self.scenario.camera.frame_rate_hz
         if wanted is None:
-            raise InputError(self._source, "expected a 'controller', whose place is taken")
+            raise InputError(self._source, "expected a 'controller', which the policy replaces")
         if len(wanted.goals_um) not in (0, self.particles):
             raise InputError(self._source, f"'controller.goals_um': expected {self.particles}, "
                              f'one for each particle; found {len(wanted.goals_um)}')
@@ -124,7 +124,8 @@ class SteeredWorlds:
         slowest = 1 / self._gate_limits.command_timeout_s
         if not rate > slowest:
             raise InputError(self._source, "'camera.frame_rate_hz': expected more than "
-                             f'{slowest:.3g}, as no command lives longer than that')
+                                           f'{slowest:.3g}, as commands expire after one '
+                                           'period of that rate')
         self.limits = Limits(
             wanted.max_field_mT * 1e-3, values.slew_mT_per_s * 1e-3, values.max_frequency_hz)
         low, high = np.reshape(values.workspace_um, (2, 2)) * 1e-6
@@ -227,7 +228,8 @@ class SteeredWorlds:
     def _correct(self, m: int, wanted: np.ndarray, action: np.ndarray) -> None:
         """Correct `wanted` where it is NaN or a particle may leave the workspace."""
         if np.isnan(wanted).any():
-            wanted[:], self.reasons[m] = 0.0, f'the policy answered {action.tolist()}'
+            wanted[:], self.reasons[m] = 0.0, (
+                f'the policy returned {action.tolist()}, not a finite field')
             return
         command = kept_in_view(self.inputs(m), FieldCommand(wanted.copy()), self._values.border_s)
         wanted[:], self.reasons[m] = command.field, command.progress.message

@@ -36,16 +36,16 @@ class GateParameters:
         200.0, 'Largest sustained rate of change of a current.', lower=0.01, upper=1e5,
         read_only=True)
     command_timeout_ms: float = setting(
-        75.0, 'How long a command other than zero holds without a new one.', lower=10.0,
+        75.0, 'Time for which a nonzero command holds without a new one.', lower=10.0,
         upper=2000.0, read_only=True)
     deviation_A: float = setting(
         0.2, 'Largest deviation of a measured from the commanded current.', lower=0.001,
         upper=10.0, read_only=True)
     settling_ms: float = setting(
-        100.0, 'Time that a measured current may take to settle.', lower=1.0, upper=2000.0,
+        100.0, 'Time allowed for a measured current to settle.', lower=1.0, upper=2000.0,
         read_only=True)
     feedback_timeout_ms: float = setting(
-        200.0, 'How long currents may flow without a measurement.', lower=10.0, upper=5000.0,
+        200.0, 'Time for which currents may flow without a measurement.', lower=10.0, upper=5000.0,
         read_only=True)
     rated_current_A: float = setting(
         1.5, 'Continuous current rating of a coil.', lower=0.001, upper=100.0, read_only=True)
@@ -109,7 +109,7 @@ class AllocationStage:
         make = self._allocator.linear
         per_direction = strength * np.pad(make, ((0, 0), (0, 3 - make.shape[1])))
         if make.shape[1] < 3 and strength and not abs(axis[2]) > _UPRIGHT:
-            raise ValueError('no field along z, in which it would turn, comes from these coils')
+            raise ValueError('these coils make no field along z, which the rotation needs')
         steady = make @ (self._within(along, float(np.linalg.norm(field))) - self.coils.background)
         # Amplitude of the current of each coil: the length of its row perpendicular to the axis.
         across = per_direction - np.outer(per_direction @ axis, axis)
@@ -125,8 +125,7 @@ class AllocationStage:
         if self.coils.axes == 3:
             return np.array([x, y, z])
         if abs(z) > _IN_PLANE * strength:
-            raise ValueError(f'no field along z comes from these coils; {z * 1e3:.3g} mT is asked '
-                             'for')
+            raise ValueError(f'these coils make no field along z; commanded: {z * 1e3:.3g} mT')
         return np.array([x, y])
 
     def field(self, currents: np.ndarray) -> np.ndarray:
@@ -154,6 +153,6 @@ def _refuse_contradictions(values: GateParameters, allocator: Allocator) -> None
             ('current_limit_A', values.current_limit_A, needed, 'needs'),
             ('step_limit_A', values.step_limit_A, reversal, 'needs to be reversed')):
         if not limit >= least:
-            raise InputError(name, f'expected at least {math.ceil(least * 1e3) / 1e3:g} A, which '
-                             f'a field of {values.full_field_mT:g} mT {what} with these coils; '
-                             f'received {limit:g} A')
+            raise InputError(name, f'expected at least {math.ceil(least * 1e3) / 1e3:g} A, '
+                                   f'which a field of {values.full_field_mT:g} mT {what} with '
+                                   f'these coils; received {limit:g} A')

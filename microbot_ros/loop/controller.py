@@ -47,8 +47,9 @@ class ControllerParameters:
         200.0, 'Age of the poses beyond which nothing is commanded.', lower=10.0, upper=5000.0,
         read_only=True)
     joy_timeout_ms: float = setting(
-        250.0, 'Age of the joystick message beyond which the stick counts as centred; its driver '
-        'must repeat messages.', lower=20.0, upper=2000.0, read_only=True)
+        250.0, 'Age of the joystick message beyond which the stick is '
+               'treated as centred; the joystick driver must repeat '
+               'messages.', lower=20.0, upper=2000.0, read_only=True)
     deadline_ms: float = setting(10.0, 'Computing time of a controller per frame.', lower=1.0,
                                  upper=1000.0, read_only=True)
     workspace_um: list[float] = setting(
@@ -56,9 +57,10 @@ class ControllerParameters:
         lower=-1e5, upper=1e5, read_only=True)
     border_s: float = setting(
         0.5, 'If a driven particle would leave the workspace within this time, the field is '
-        'turned; 0: never.', lower=0.0, upper=60.0, read_only=True)
+             'turned; 0 disables this.', lower=0.0, upper=60.0, read_only=True)
     delay_ms: float = setting(
-        25.0, 'Time from exposure to the effect of the command computed from it; 0 for none.',
+        25.0, 'Delay from exposure to the effect of the command computed from it; 0 if there is '
+              'none.',
         lower=0.0, upper=2000.0)
     model_file: str = setting('', 'File model.yaml with the effects that controllers may use.')
 
@@ -113,7 +115,7 @@ class ControllerStage:
     def unrepeatable(self) -> str:
         """Why equal inputs may give different results; '' if they do not."""
         name = self.manager.active
-        return '' if self.classes[name].repeatable else f'{name} thinks for as long as it may'
+        return '' if self.classes[name].repeatable else f'{name} uses its whole computing time'
 
     def configure(self, parameters: ControllerParameters, controllers: Mapping[str, Any],
                   restart: bool = False, seconds: float = CONFIGURING) -> SwitchResult:
@@ -177,7 +179,7 @@ class ControllerStage:
         if self.classes[name].accepts(what):
             return ''
         others = [other for other, kind in self.classes.items() if kind.accepts(what)]
-        return f'{name} takes no {what.value}; these do: {", ".join(others) or "none"}'
+        return f'{name} takes no {what.value}; controllers that do: {", ".join(others) or "none"}'
 
     def go_to(self, goals: Goals) -> None:
         """Set new `goals`, from the next frame on."""
@@ -205,7 +207,7 @@ class ControllerStage:
 
     def _begin_anew(self) -> None:
         """Drop the outcome: the last command belongs to earlier goals."""
-        self.outcome = Outcome(None, Result.STALE, 'no poses since it was told where to go')
+        self.outcome = Outcome(None, Result.STALE, 'no poses since the goals arrived')
 
     def move_joystick(self, axes: np.ndarray, t: float) -> None:
         """Set the stick to `axes` (2,) at time `t` [s].
@@ -214,7 +216,7 @@ class ControllerStage:
         """
         self._joystick = np.zeros(2)
         if not (axes.shape == (2,) and np.isfinite(axes).all()):
-            raise ValueError(f'expected two finite axes; received {axes.tolist()}: counted as '
+            raise ValueError(f'expected two finite axes; received {axes.tolist()}: treated as '
                              'centred')
         self._joystick = axes / max(1.0, float(np.hypot(*axes)))
         self._joystick_t = t
@@ -260,7 +262,7 @@ class ControllerStage:
         self.manager.let_go()
         drove, self.driving = self.driving, False
         if drove and self.outcome.result is Result.OK:
-            self.outcome = Outcome(None, Result.STALE, 'no poses since the field was let go')
+            self.outcome = Outcome(None, Result.STALE, 'no poses since the field was set to zero')
         return drove
 
     def _input(self, estimates: np.ndarray, t: float, now: float) -> ControllerInput:
@@ -299,14 +301,14 @@ class ControllerStage:
         if age > values.joy_timeout_ms * 1e-3:
             self._held = False  # a silent stick counts as centred
         if self._held:
-            self.joystick_remark = 'the joystick was deflected at arming: centre it'
+            self.joystick_remark = 'the joystick was not centred at arming: centre it'
             return np.zeros(2)
         fresh = -values.pose_timeout_ms * 1e-3 <= age <= values.joy_timeout_ms * 1e-3
         if fresh or not self._joystick.any():
             return self._joystick
-        since = (f'has been silent for {age:.2f} s' if age > 0 else
+        since = (f'sent no message for {age:.2f} s' if age > 0 else
                  f'is stamped {-age:.2f} s after the frame')
-        self.joystick_remark = f'the joystick {since}: counted as centred'
+        self.joystick_remark = f'the joystick {since}: treated as centred'
         return np.zeros(2)
 
     def _present_model(self) -> Model | None:

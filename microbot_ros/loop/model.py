@@ -23,7 +23,7 @@ class ModelParameters:
     """Parameters of the model."""
 
     propulsion: str = setting(
-        'catalytic', 'What drives the particles.', choices=('catalytic', 'rolling'),
+        'catalytic', 'Propulsion of the particles.', choices=('catalytic', 'rolling'),
         read_only=True)
     radius_um: float = setting(2.3, 'Radius of the particles.', lower=0.05, upper=1000.0,
                                read_only=True)
@@ -32,13 +32,13 @@ class ModelParameters:
     temperature_K: float = setting(298.0, 'Temperature of the fluid.', lower=250.0, upper=400.0,
                                    read_only=True)
     height_um: float = setting(
-        0.0, 'Height of the centres above the floor, more than radius_um; 0: far from any floor, '
-        'or unknown.', lower=0.0, upper=1e5, read_only=True)
-    reference_field_mT: float = setting(5.0, 'Field at which alignment times are stated.',
+        0.0, 'Height of the particle centres above the floor, more than radius_um; 0 if far from '
+             'any floor, or unknown.', lower=0.0, upper=1e5, read_only=True)
+    reference_field_mT: float = setting(5.0, 'Field strength at which alignment times are stated.',
                                         lower=1e-3, upper=1000.0, read_only=True)
     exposure_ms: float = setting(0.0, 'Exposure time of a frame.', lower=0.0, upper=1000.0,
                                  read_only=True)
-    horizon_s: float = setting(0.5, 'How far ahead to predict.', lower=0.0, upper=60.0,
+    horizon_s: float = setting(0.5, 'Prediction horizon.', lower=0.0, upper=60.0,
                                read_only=True)
     model_file: str = setting(
         '', 'File model.yaml with the effects of the filter; empty: the first-order model. A file '

@@ -40,7 +40,7 @@ class TrackerParameters:
     rotation_deg: float = setting(
         0.0, "Direction of the image's x axis in the workspace.", lower=-180.0, upper=180.0,
         read_only=True)
-    mirrored: bool = setting(False, 'The optics mirror the picture.', read_only=True)
+    mirrored: bool = setting(False, 'Whether the optics mirror the image.', read_only=True)
     settings_file: str = setting(
         '', 'YAML file with detection settings; empty: they are chosen from the first frames.',
         read_only=True)
@@ -169,7 +169,7 @@ class TrackerStage:
     def pixel_at(self, x: float, y: float) -> tuple[float, float]:
         """Return the pixel (x, y) of a place (`x`, `y`) [m]; InputError before the first frame."""
         if self._camera is None:
-            raise InputError('teach', 'expected a frame to point into: none has come yet')
+            raise InputError('teach', 'no frame to point into yet; start the camera')
         column, row = self._camera.pixels(np.array([x, y]))
         return float(column), float(row)
 
@@ -211,7 +211,7 @@ class TrackerStage:
         """Return the frame of a `stamp` [s] or the nearest one kept; None: the newest."""
         held = list(self._held)  # a copy: another thread may add frames
         if not held:
-            raise InputError('teach', 'expected a frame to point into: none has come yet')
+            raise InputError('teach', 'no frame to point into yet; start the camera')
         last, newest = self._newest
         if stamp is None or stamp == last:
             return newest

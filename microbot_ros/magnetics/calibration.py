@@ -146,8 +146,8 @@ def calibrate(readings: Readings, settings: CoilSettings, source: str | Path) ->
     coils = CoilSet(settings.model_copy(update={'windings': tuple(plain)}))
     fit = _fit(readings, coils)
     if fit is None:
-        raise InputError(source, 'expected readings that tell the coils apart: drive each coil by'
-                         ' itself, both ways; here the equations are singular')
+        raise InputError(source, 'expected readings that separate the coils: drive each coil '
+                                 'alone, in both directions; the equations are singular')
     calibration, unexplained = fit
     if unexplained > _CLEAN and (swap := _swap(readings, coils, unexplained)):
         raise InputError(source, f'expected columns that are not swapped; these fit if {swap}')
@@ -248,7 +248,7 @@ def with_coil_map(settings: CoilSettings, gain_ratio: float, skew: float, matrix
         raise InputError('coils', 'expected two coils along x and two along y')
     for winding in compress(settings.windings, of_y):
         if winding.turns is None:
-            raise InputError(winding.name, 'expected a wire; a measured field can not be turned')
+            raise InputError(winding.name, 'expected a wire; a measured field cannot be rotated')
     windings = tuple(
         _turned(winding, -skew).model_copy(update={'gain': winding.gain * gain_ratio})
         if y else winding for winding, y in zip(settings.windings, of_y, strict=True))

@@ -45,7 +45,7 @@ class FieldMap:
                              f'of {(*map(len, places), 3)}, got one of {field.shape}')
         for name, along in zip('xyz', places, strict=True):
             if len(along) < 2 or not (np.isfinite(along).all() and (np.diff(along) > 0).all()):
-                raise InputError(source, f'expected two or more places along {name}, rising')
+                raise InputError(source, f'expected two or more places along {name}, ascending')
         knots, degrees = [], []
         for axis, along in enumerate(places):
             spline = make_interp_spline(along, field, min(3, len(along) - 1), axis=axis)

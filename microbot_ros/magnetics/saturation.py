@@ -34,7 +34,7 @@ class Saturation:
         pairs = np.vstack([(0.0, 0.0), np.asarray(points, dtype=float).reshape(-1, 2)])
         rise = np.diff(pairs, axis=0)
         if not (len(rise) and np.isfinite(pairs).all() and (rise > 0).all()):
-            raise InputError('saturation', 'expected pairs [A, effective A] that rise from 0')
+            raise InputError('saturation', 'expected pairs [A, effective A] ascending from 0')
         true, effective = pairs.T
         self._last = pairs[-1].tolist()
         self._driven = PchipInterpolator(effective, true, extrapolate=False)

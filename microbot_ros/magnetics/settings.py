@@ -74,7 +74,7 @@ class Winding(Settings):
             raise ValueError('expected turns of a wire, and none of a field_map or a source')
         ends = self.vertices_mm and self.vertices_mm[0] == self.vertices_mm[-1]
         if self.closed is False and not ends:
-            raise ValueError('expected a path that ends where it began: no current is open')
+            raise ValueError('expected a closed path: its end must be its start')
         if self.saturation is not None:
             self.curve()
             if not self.saturation[-1][0] >= self.max_current_A:

@@ -100,7 +100,7 @@ class CameraNode(RigNode):
         if self._finished:
             return WARN, self._finished, values
         if since:
-            return WARN, f'{since} frames were lost on their way since the last report', values
+            return WARN, f'{since} frames lost since the last report', values
         return OK, f'publishing {self.settings.source}', values
 
     def _open(self) -> None:
@@ -143,7 +143,7 @@ class CameraNode(RigNode):
                 self._finished = str(end)
                 self.get_logger().info(self._finished)
         except InputError as error:
-            self._trouble = f'{error}; trying the same device again'
+            self._trouble = f'{error}; reopening the same device'
             self.complain(self._trouble)
             self._close()
             self._stopping.wait(_RETRY_SECONDS)

@@ -25,7 +25,7 @@ class CockpitParameters:
     """Parameters of the node `cockpit`."""
 
     host: str = setting(
-        '127.0.0.1', 'Name or address of this machine to listen at.', read_only=True)
+        '127.0.0.1', 'Host name or address of this machine to listen on.', read_only=True)
     port: int = setting(8642, 'Port to listen at; 0 takes any that is free.', lower=0,
                         upper=65535, read_only=True)
     token: bool = setting(
@@ -35,8 +35,8 @@ class CockpitParameters:
         '', 'Folder for what discovery finds when a page starts it, a folder each; empty is '
         '~/.local/share/microbot_ros/discoveries.', read_only=True)
     recordings: str = setting(
-        'recordings', 'Folder of the recordings that pages list, replay and download, a folder '
-        'each.', read_only=True)
+        'recordings', 'Folder whose recordings (one folder each) pages list, replay and '
+                      'download.', read_only=True)
 
 
 class CockpitNode(RigNode):

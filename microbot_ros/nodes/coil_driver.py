@@ -19,7 +19,12 @@ from std_srvs.srv import SetBool
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.settings import setting
 from microbot_ros.drive.amplifier import BY_HAND, Command, Reading, Zero, amplifier_class
-from microbot_ros.drive.coil_driver import STOPPED, CoilDriver
+from microbot_ros.drive.coil_driver import (
+    STOPPED,
+    WITHOUT_FEEDBACK,
+    WITHOUT_WATCHDOG,
+    CoilDriver,
+)
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import Fault, Reason
 from microbot_ros.drive.heat import HeatRecord
@@ -56,7 +61,8 @@ class CoilDriverParameters(GateParameters):
     """Parameters of the node `coil_driver`. All are fixed at start-up: they are safety limits."""
 
     amplifier: str = setting(
-        'serial_transfer', 'Protocol, an entry point of microbot_ros.amplifiers.', read_only=True)
+        'serial_transfer', 'Protocol of the amplifier: an entry point of '
+                           'microbot_ros.amplifiers.', read_only=True)
     port: str = setting(
         '', 'Serial port or pyserial URL; for one port per coil four, separated by commas.',
         read_only=True)
@@ -69,16 +75,14 @@ class CoilDriverParameters(GateParameters):
         False, 'The firmware of the board turns a rotating field by itself, as the reference '
         'firmware does; else the driver sends every sample.', read_only=True)
     self_check: bool = setting(
-        True, 'Check sign and gain of each coil with a short pulse on arming, and the watchdog of '
-        'a device whose firmware may have one; false for an amplifier that reads no currents '
-        'back.', read_only=True)
+        True, 'On arming, check sign and gain of each coil with a short pulse, and test a '
+              'watchdog that may be in the firmware; false for an amplifier that measures no '
+              'currents.', read_only=True)
     accept_no_watchdog: bool = setting(
-        False, 'Drive an amplifier without a watchdog of its own: if this computer loses its '
-        'power while coils are driven, the last currents flow on.', read_only=True)
+        False, f'Drive an amplifier without a watchdog: {WITHOUT_WATCHDOG}.', read_only=True)
     accept_no_feedback: bool = setting(
-        False, 'Drive an amplifier that reads no currents back, with self_check false: nothing '
-        'notices a coil that does not carry what it is told, nor whether the timeout of the '
-        'amplifier is armed.', read_only=True)
+        False, 'Drive an amplifier that measures no currents, with self_check false: '
+               f'{WITHOUT_FEEDBACK}.', read_only=True)
 
 
 class CoilDriverNode(RigNode):
@@ -100,8 +104,8 @@ class CoilDriverNode(RigNode):
     def setup(self) -> None:
         values: CoilDriverParameters = self.settings
         if not values.port:
-            raise InputError(self.get_name(), 'expected a parameter port: the serial port of '
-                                              'the amplifier')
+            raise InputError(self.get_name(), 'expected the parameter port: the serial port '
+                                              'of the amplifier')
         self.stage = AllocationStage(values)
         self._latency = math.nan
         self._refused = 0
@@ -110,8 +114,8 @@ class CoilDriverNode(RigNode):
         amplifier = amplifier_class(values.amplifier)(
             values.port, values.full_scale_A, len(self.stage.coils.names))
         if values.board_turns and not amplifier.can_swing:
-            raise InputError('board_turns', f'{values.amplifier} turns no currents by itself; '
-                             'expected false')
+            raise InputError('board_turns', f'{values.amplifier} cannot rotate the field '
+                                            'itself; expected false')
         amplifier.swings = values.board_turns
         self._heat = HeatRecord(values.port, limits(values), amplifier.channels)
         self._heat.forget_old()
@@ -150,7 +154,7 @@ class CoilDriverNode(RigNode):
         zero = self._driver.stop()
         self._save_heat()
         if zero is not Zero.CONFIRMED and self._driver.amplifier.counters.frames_sent:
-            self.get_logger().warning(f'the coils at the end: {self._zero_sentence(zero)}')
+            self.get_logger().warning(f'coils at shutdown: {self._zero_sentence(zero)}')
 
     def make_safe(self) -> None:
         if hasattr(self, '_driver'):
@@ -180,21 +184,21 @@ class CoilDriverNode(RigNode):
         if not gate.armed:
             return ERROR if self._driver.zero_overdue else OK, f'disarmed; {zero}'
         if self._driver.arming:
-            return WARN, 'arming: each coil is checked with a pulse'
+            return WARN, 'arming: checking each coil with a pulse'
         if gate.holding:
-            return WARN, ('armed, waiting for a command of zero: centre the stick, or end what '
-                          'drives and send the goal again')
+            return WARN, ('armed; waiting for a zero command: centre the stick, or stop the '
+                          'sender and send the goal again')
         return OK, 'driving' + (self._driver.warning and f'; {self._driver.warning}')
 
     def _zero_sentence(self, zero: Zero | None) -> str:
         """Return the state of the currents as text: `zero`, and what follows from it."""
         amplifier = self._driver.amplifier
         if zero is Zero.UNREACHABLE:
-            return (f'{zero}: {", ".join(amplifier.unreachable) or self.settings.port}; coils '
-                    f'there may carry current, {BY_HAND}')
+            return (f'{zero}: {", ".join(amplifier.unreachable) or self.settings.port}; these '
+                    f'coils may carry current, {BY_HAND}')
         if zero is Zero.SENT and not amplifier.reads_back:
-            return f'{zero}: the amplifier reads nothing back'
-        return zero or 'a current is commanded'
+            return f'{zero}: the amplifier measures no currents'
+        return zero or 'current is commanded'
 
     def _save_heat(self) -> None:
         """Store the heat for a restart, if a coil is or was warm.
@@ -206,12 +210,12 @@ class CoilDriverNode(RigNode):
             if max(heat) > _WARM or self._heat.path.exists():
                 self._heat.save(heat)
         except OSError as error:
-            self.complain(f'{self._heat.path}: the heat of the coils cannot be kept for a '
+            self.complain(f'{self._heat.path}: the coil temperatures cannot be saved for a '
                           f'restart ({error.strerror})')
 
     def _self_check(self) -> str:
         if not self.settings.self_check:
-            return 'not checked: the amplifier reads no currents back'
+            return 'not checked: the amplifier measures no currents'
         if self._driver.gains is None:
             return 'not passed yet'
         return 'passed, gains ' + ', '.join(f'{gain:.2f}' for gain in self._driver.gains)
@@ -237,14 +241,15 @@ class CoilDriverNode(RigNode):
         """Drive a command from a topic, unless its stamp is too old or in the future."""
         age = self.seconds() - messages.to_seconds(stamp)
         if age < -0.05:
-            self._refuse(f'{topic} is {-age:.3f} s ahead of the clock here; not driven')
+            self._refuse(f'{topic} is {-age:.3f} s ahead of the clock here; command ignored')
         elif not age <= self.settings.max_command_age_ms * 1e-3:
-            self._refuse(f'{topic} is {age:.3f} s old, more than max_command_age_ms; not driven')
+            self._refuse(f'{topic} is {age:.3f} s old, more than max_command_age_ms; command '
+                         'ignored')
         else:
             try:
                 wanted = self._drive(field, angular_velocity, stamp)
             except ValueError as error:
-                self._refuse(f'{error}; not driven')
+                self._refuse(f'{error}; command ignored')
                 return
             self._wanted.publish(messages.currents(self.stage.coils.names, wanted, stamp))
 
@@ -326,11 +331,11 @@ class CoilDriverNode(RigNode):
         if not self._driver.gate.armed or not names:
             return
         if len(names) > 1:
-            detail = f'{len(names)} publish commands: {" and ".join(names)}'
+            detail = f'{len(names)} nodes publish commands: {" and ".join(names)}'
         elif self._commander <= endpoints:
             return
         else:
-            detail = f'{names[0]} is new, or back, and needs a new arm'
+            detail = f'{names[0]} is new or was restarted; arm again'
         self._driver.request_zero((Reason.COMMANDER, detail))
 
     def _choose_commander(self, epoch: int) -> str:
@@ -347,8 +352,8 @@ class CoilDriverNode(RigNode):
             time.sleep(0.02)
         names, self._commander = found
         if len(names) > 1:
-            return (f'{len(names)} publish commands, expected one: {" and ".join(names)} (a '
-                    'process that was killed counts for some seconds)')
+            return (f'{len(names)} nodes publish commands, expected one: {" and ".join(names)} (a '
+                    'killed process still counts for some seconds)')
         return ''
 
     def _on_arm_asked(self, request: Any, header: Any) -> threading.Event | int:

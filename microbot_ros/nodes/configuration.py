@@ -69,8 +69,8 @@ def read_rig(path: str | Path, namespace: str = '') -> dict[str, dict[str, Any]]
         else:
             elsewhere = elsewhere or key
     if elsewhere and not rig:
-        raise InputError(path, f"'{clipped(elsewhere)}' is no node of the namespace {namespace}; "
-                               f"'/**/{elsewhere.rpartition('/')[2]}' would be",
+        raise InputError(path, f"'{clipped(elsewhere)}' is not a node of the namespace "
+                               f"{namespace}; '/**/{elsewhere.rpartition('/')[2]}' would fit",
                          line_of(path, elsewhere))
     _refuse_missing_packages(path, rig, namespace)
     _refuse_contradictions(path, rig, namespace)
@@ -138,8 +138,9 @@ def refuse_elsewhere(path: str | Path, node: str, namespace: str) -> None:
     keys = [str(key) for key in content] if isinstance(content, dict) else []
     named = [key for key in keys if key.rpartition('/')[2] == node]
     if named and not any(_is_in(key.rpartition('/')[0], namespace) for key in named):
-        raise InputError(path, f"'{named[0]}' is no node of the namespace {namespace}; "
-                               f"'/**/{node}' would be", line_of(path, named[0]))
+        raise InputError(path, f"'{named[0]}' is not a node of the "
+                               f"namespace {namespace}; '/**/{node}' would "
+                               'fit', line_of(path, named[0]))
 
 
 def _is_in(place: str, namespace: str) -> bool:
@@ -213,7 +214,7 @@ def _refuse_contradictions(path: str | Path, rig: dict[str, dict[str, Any]], nam
         if (node in rig and _value(rig, node, 'field_source') == 'applied'
                 and not amplifier_class(amplifier).reads_back):
             raise InputError(path, f'{node}: field_source is applied, expected command: '
-                             f'{amplifier} measures no currents',
+                                   f'{amplifier} measures no currents',
                              _line_of(path, node, 'field_source', namespace))
 
 

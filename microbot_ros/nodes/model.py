@@ -27,9 +27,10 @@ class ModelNodeParameters(ModelParameters):
     """Parameters of the node `model`."""
 
     field_source: str = setting(
-        'applied', 'What the particles felt: the field read back from the coils, or the one '
-        'commanded where nothing is read back. Rollers roll as commanded, and with applied only '
-        'while a field is read back.', choices=('applied', 'command'), read_only=True)
+        'applied', 'Source of the field: measured at the coils (applied), or '
+                   'commanded where nothing is measured. Rollers use the '
+                   'commanded rotation, with applied only while a field is '
+                   'measured.', choices=('applied', 'command'), read_only=True)
 
 
 class ModelCore(Core):

@@ -52,16 +52,17 @@ class PlayerParameters:
     session: str = setting('', 'Folder or MCAP recording to play.', read_only=True)
     rate: float = setting(1.0, 'Times real time; 0 is as fast as it goes.', lower=0.0,
                           upper=100.0)
-    start_s: float = setting(0.0, 'Where to begin, since the start of the session.', lower=0.0,
+    start_s: float = setting(0.0, 'Start of the playback, from the start of the '
+                                  'session.', lower=0.0,
                              upper=1e6, read_only=True)
-    end_s: float = setting(0.0, 'Where to end; 0 plays to the end.', lower=0.0, upper=1e6,
+    end_s: float = setting(0.0, 'End of the playback; 0 plays to the end.', lower=0.0, upper=1e6,
                            read_only=True)
     loop: bool = setting(False, 'Begin again at the end.', read_only=True)
-    topics: list[str] = setting([], 'What to play; empty plays all there is.', read_only=True)
-    seek_s: float = setting(0.0, 'Set it to go to that time.', lower=0.0, upper=1e6)
+    topics: list[str] = setting([], 'Topics to play; empty plays all.', read_only=True)
+    seek_s: float = setting(0.0, 'Set it to jump to that time.', lower=0.0, upper=1e6)
     into_live_rig: bool = setting(
-        False, 'Play even where nodes are live that do not follow `/clock`: they act on what is '
-        'played.', read_only=True)
+        False, 'Play even if nodes are live that do not follow `/clock`: they act on what is '
+               'played.', read_only=True)
 
 
 class PlayerNode(RigNode):
@@ -147,7 +148,8 @@ class PlayerNode(RigNode):
         unknown = names - set(self._source.topics)
         if unknown:
             there = ', '.join(sorted(self._source.topics))
-            raise InputError(self.settings.session, f'no topic {sorted(unknown)[0]}; has {there}')
+            raise InputError(self.settings.session, f'no topic {sorted(unknown)[0]}; the '
+                                                    f'recording has: {there}')
         return {name: _message_class(topic.type) for name, topic in self._source.topics.items()
                 if name != CHANGES and (not names or name in names)}
 
@@ -169,8 +171,9 @@ class PlayerNode(RigNode):
         self._look_due = now + (_LOOK_SECONDS if self._begun else _FIRST_LOOKS_SECONDS)
         live, self._alone = self._rig.look()
         if live:
-            self.fault = (f'{live} is live, and would take the past for the present: end it, run '
-                          'it with use_sim_time, or replay with --into-live-rig (into_live_rig)')
+            self.fault = (f'{live} is live and would act on recorded messages: stop it, run '
+                          'it with use_sim_time, or replay with --into-live-rig '
+                          '(into_live_rig)')
 
     def _gather(self, now: float) -> None:
         """Begin when all listeners are present."""
@@ -313,5 +316,5 @@ def _message_class(type_name: str) -> type:
     try:
         found: type = getattr(importlib.import_module(f'{package}.msg'), name)
     except (ImportError, AttributeError):
-        raise InputError(type_name, 'expected a message type that is installed here') from None
+        raise InputError(type_name, 'expected an installed message type') from None
     return found

@@ -43,7 +43,7 @@ class RecorderParameters:
     """Parameters of the node `recorder`."""
 
     recording: bool = setting(
-        True, 'Record from the start; without, once `~/record` is called.', read_only=True)
+        True, 'Record from the start; false: only after `~/record` is called.', read_only=True)
     folder: str = setting(
         '', 'Folder of the next recording; empty makes one in ./recordings named after the time.')
     topics: list[str] = setting(
@@ -53,7 +53,7 @@ class RecorderParameters:
         1, 'Record every n-th camera frame; 0 records none.', lower=0, upper=1000)
     title: str = setting(
         '', 'One line on what the next recording is of; set while one runs, what that is of.')
-    notes: str = setting('', 'Whatever else is worth knowing of it, before or while it runs.')
+    notes: str = setting('', 'Further notes on the recording, before or during it.')
     attachments: list[str] = setting(
         [], 'Files kept inside the recording: protocol, photographs, calibrations.',
         read_only=True)

@@ -178,10 +178,10 @@ def plan_replay(source: Source, path: Path, nodes: Collection[str] = ()) -> Repl
     stages = tuple(stage for stage in STAGES
                    if (stage.node in nodes if nodes else reproducible(stage)))
     if not stages:
-        raise InputError(path, 'expected a recording of what a node took and what it answered')
+        raise InputError(path, "expected a recording with a node's inputs and outputs")
     for stage in stages:
         if not counts.get(stage.takes[0]):
-            raise InputError(path, f'expected {stage.takes[0]} to play to the {stage.node}')
+            raise InputError(path, f'expected {stage.takes[0]} as input of the {stage.node}')
     taken = {name for stage in stages for name in stage.takes if counts.get(name)}
     played = tuple(by_role[name] for name in sorted(taken))
     for topic in played:
@@ -228,8 +228,9 @@ def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Pa
         if values.get(EXECUTED_FILE):
             values[EXECUTED_FILE] = str(policy.resolve()) if policy else ''
             if not policy and values.get('controller') == 'policy':
-                raise InputError(recording.path, 'a policy drove: expected its network by '
-                                 '--policy FILE; one that a recording names is not executed')
+                raise InputError(recording.path, 'the controller was a policy: give its '
+                                                 'network by --policy FILE; a network named '
+                                                 'in a recording is not executed')
         found[node] = values
     return found
 
@@ -346,8 +347,8 @@ class Replayed(Core):
     def _change(self, values: Mapping[str, Any]) -> None:
         values = dict(values)
         if values.get(EXECUTED_FILE, self._network) != self._network:
-            self.withheld = (f'{EXECUTED_FILE} was set to another network, which a replay does '
-                             'not execute')
+            self.withheld = (f'{EXECUTED_FILE} was set to another network; a replay does not '
+                             'execute it')
             del values[EXECUTED_FILE]
         self._values |= values
         new = {prefix: self._set(type(old), prefix) for prefix, old in self._sets.items()}
@@ -441,11 +442,11 @@ class Player:
                 entry = entry._replace(name='field/rotating')
                 data = self._inputs.find(entry.name, entry.what, entry.at_ns)
             if data is None:
-                self._reason = f'what the {node} took from {entry.name} was not recorded'
+                self._reason = f'what the {node} received on {entry.name} was not recorded'
                 return
         elif entry.name not in (PARAMETERS, EXPIRE, LET_GO, *self._core.inlets):
             if entry.name.startswith('~/'):
-                self._reason = f'the {node} was taught by {entry.name[2:]}'
+                self._reason = f'the {node} was taught on {entry.name[2:]} during the recording'
             return
         self._core.be_given(entry, data)
 

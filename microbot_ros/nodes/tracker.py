@@ -41,15 +41,15 @@ class TrackerNodeParameters(TrackerParameters):
     """Parameters of the node `tracker`."""
 
     field_source: str = setting(
-        'applied', 'What turns the particles, so that a turn is expected: the field read back '
-        'from the coils, the one commanded, the rotation of rollers while a field is read '
-        'back, or nothing known.',
+        'applied', 'Source of the turning of the particles, to predict it: the measured field, '
+                   'the commanded field, the rotation of rollers while a field is measured, or '
+                   'none.',
         choices=('applied', 'command', 'rotation', 'none'), read_only=True)
     example_kind: str = setting(
-        '', 'Kind that the next example on `tracker/like` or `tracker/unlike` shows, and that '
-        '`tracker/forget` forgets; empty: the kind that fits best, and all kinds.')
+        '', 'Kind of the next example on `tracker/like` or `tracker/unlike`, and the kind that '
+            '`tracker/forget` removes; empty: the kind that fits best, and all kinds.')
     overlay_rate_hz: float = setting(
-        10.0, 'Rate of `overlay/image_raw` while somebody looks; 0 turns it off.',
+        10.0, 'Rate of `overlay/image_raw` while it has subscribers; 0 disables it.',
         lower=0.0, upper=60.0)
     poses_rate_hz: float = setting(
         10.0, 'Rate of `particles/poses`, for viewers.', lower=0.0, upper=60.0)

@@ -54,13 +54,14 @@ class VirtualRigParameters:
         '', 'Log of the emulated amplifier (`microbot emulate ... --log`).', read_only=True)
     coils_file: str = setting(
         '', 'YAML file with the coils; empty takes the default rig.', read_only=True)
-    seed: int = setting(1, 'Seed of everything random.', lower=0, upper=2**31 - 1, read_only=True)
+    seed: int = setting(1, 'Seed of all random numbers.', lower=0, upper=2**31 - 1, read_only=True)
     frame_rate_hz: float = setting(60.0, 'Frames per second.', lower=1.0, upper=200.0,
                                    read_only=True)
     radius_um: float = setting(2.3, 'Radius of every particle.', lower=0.1, upper=20.0,
                                read_only=True)
     height_um: float = setting(
-        0.0, 'Height of the centres above the floor, more than radius_um; 0 is far from any.',
+        0.0, 'Height of the particle centres above the floor, more than radius_um; 0 if far from '
+             'any.',
         lower=0.0, upper=1e5, read_only=True)
     viscosity_mPa_s: float = setting(1.245, 'Viscosity of the fluid.', lower=0.1, upper=1000.0,
                                      read_only=True)
@@ -69,23 +70,23 @@ class VirtualRigParameters:
     speeds_um_s: list[float] = setting(
         [3.71, 4.38, 4.98], 'Speed of each particle.', lower=0.0, upper=100.0, read_only=True)
     gains_um_s_hz: list[float] = setting(
-        [], 'Speed over frequency of each particle, where they roll in a rotating field; empty: '
-        'they swim.', lower=0.0, upper=1000.0, read_only=True)
+        [], 'Speed per rotation frequency of each particle that rolls in a rotating field; empty: '
+            'particles swim.', lower=0.0, upper=1000.0, read_only=True)
     phis_rad: list[float] = setting(
         [-1.09, 3.82, 2.64], 'Heading of each particle relative to the field.',
         lower=-7.0, upper=7.0, read_only=True)
     step_outs_hz: list[float] = setting(
-        [], 'Frequency up to which each rolling particle follows a field of 5 mT; empty: what '
-        'alignment_ms makes of all.', lower=0.0, upper=1000.0, read_only=True)
+        [], 'Frequency up to which each rolling particle follows a field of 5 mT; empty: computed '
+            'from alignment_ms.', lower=0.0, upper=1000.0, read_only=True)
     walls_um: list[float] = setting(
-        [], 'x, y of one end and x, y of the other of each straight wall, one after the other.',
+        [], 'Straight walls: x, y of one end and x, y of the other end of each, in sequence.',
         lower=-10000.0, upper=10000.0, read_only=True)
     alignment_ms: float = setting(
         5.0, 'Time constant with which a field of 5 mT turns the particles.',
         lower=0.1, upper=10000.0, read_only=True)
     model_file: str = setting(
         '', 'model.yaml whose effects and learned terms the particles obey.', read_only=True)
-    effect: str = setting('', 'Effect hidden in the physics, by name.', read_only=True)
+    effect: str = setting('', 'Name of an effect hidden in the physics.', read_only=True)
     effect_parameters: list[str] = setting(
         [], 'Its parameters, such as wx_um_s=0.4.', read_only=True)
 
@@ -140,7 +141,7 @@ class VirtualRigNode(RigNode):
         values = {'frames_published': self._frames, 'load_of_a_core': share,
                   'longest_frame_ms': longest * 1e3}
         if longest > 1 / self.settings.frame_rate_hz:
-            return WARN, 'too slow for its frame rate on this machine', values
+            return WARN, 'this machine is too slow for the frame rate', values
         return OK, f'{len(self._world.position)} particles under the microscope', values
 
     def _make_world(self) -> World:
@@ -243,7 +244,7 @@ class _AmplifierLog:
 
     def __init__(self, path: str, node: str) -> None:
         if not path:
-            raise InputError(node, 'expected a parameter amplifier_log: the log of the emulator')
+            raise InputError(node, 'expected the parameter amplifier_log: the log of the emulator')
         try:
             self._stream: TextIO = Path(path).open(encoding='utf-8')  # noqa: SIM115
         except OSError as error:

@@ -152,8 +152,8 @@ def respond(session: Session, against: Against, definition: Definition) -> Sessi
     standing = sum(int((s & d).sum()) for s, d in zip(still, driven, strict=True))
     modelled = standing < _STILL_SHARE * max(sum(int(d.sum()) for d in driven), 1)
     if modelled and standing < sum(int(d.sum()) for d in driven):
-        notes.append('the direction turns nearly throughout: frames in which it turns are kept, '
-                     f'each compared with the command {delay:.2f} s before')
+        notes.append('the direction turns nearly all the time: frames during turns are kept, each '
+                     f'compared with the command {delay:.2f} s before')
         still = [np.ones(len(one.middle), bool) for one in steps]
     blocks = [_blocks(commands, level, one, use, delay)
               for one, use in zip(steps, still, strict=True)]

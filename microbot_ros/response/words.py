@@ -18,7 +18,7 @@ COLUMNS: dict[Against, tuple[str, float, str]] = {
 def summary(found: Response) -> str:
     """Return the result in one sentence."""
     if not found.kinds:
-        return 'No plateau of what was commanded was found.'
+        return 'No plateau of the command was found.'
     return '; '.join(_of_kind(found, group) for group in found.kinds) + '.'
 
 
@@ -80,11 +80,12 @@ def difference(found: Response) -> str:
                              for level, ratio in (of[0], of[-1]))
             parts.append(f'{kind or "all"} {ends}'.replace('-', '−'))
     return (
-        'The tables state the length of the displacement over a window of frames, in every row of '
-        'a plateau. The window reaches back into rest and turns before a plateau, so that speeds '
-        'are too low, the more the shorter the plateau; it counts what is across and the noise as '
-        'speed, so that slow robots seem faster. The motion is measured along the command, '
-        f'{SETTLE_S:g} s after each change. Tables beside motion: {"; ".join(parts)}.')
+        'The tables state the length of the displacement over a window of frames, in every '
+        'row of a plateau. The window extends back into rest and turns before a plateau, so '
+        'speeds are too low, the more so the shorter the plateau. It also counts sideways '
+        'motion and noise as speed, so slow robots seem faster. The motion is measured along '
+        f'the command, {SETTLE_S:g} s after each change. Tables compared with motion: '
+        f'{"; ".join(parts)}.')
 
 
 def exclusions(found: Response) -> list[str]:
@@ -105,7 +106,8 @@ def exclusions(found: Response) -> list[str]:
             said.append(f'The motion follows the command with a delay of {ends} s, which is taken '
                         'into account.')
     else:
-        said.append('Every row of a plateau counts, turns and changes too, as in the tables.')
+        said.append('Every row of a plateau counts, including turns and changes, as in the '
+                    'tables.')
     for session, notes in found.notes.items():
         said += [f'{session}: {note}.' for note in notes]
     if found.without:
@@ -117,5 +119,5 @@ def unlike(one: Unlike) -> str:
     """Return a sentence on a robot that is unlike the others of its kind."""
     session, particle = one.robot
     of = f' of {one.kind}' if one.kind else ''
-    return (f'{session}, robot {particle}, moves at {one.ratio:.2g} times the speed of the others'
-            f'{of}: another objective or a wrong pixel size would do that.')
+    return (f'{session}, robot {particle}, moves at {one.ratio:.2g} times the speed of the '
+            f'others{of}: another objective or a wrong pixel size can cause that.')

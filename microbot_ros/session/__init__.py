@@ -1,4 +1,17 @@
-"""Reading and writing sessions: folders of CSV files and MCAP recordings."""
+"""Reading and writing sessions: folders of CSV files and MCAP recordings.
+
+Examples
+--------
+>>> import tempfile, numpy as np
+>>> from microbot_ros.common.records import Commands, Session, Tracks
+>>> from microbot_ros.session import read_session, write_session
+>>> t, unknown = np.arange(4) / 30, np.full(4, np.nan)
+>>> tracks = Tracks(t, np.zeros(4, int), np.zeros((4, 2)), unknown, unknown)
+>>> with tempfile.TemporaryDirectory() as folder:
+...     write_session(folder, Session(tracks, Commands(t[:1], np.array([[5e-3, 0.0]]))))
+...     len(read_session(folder).tracks.t)
+4
+"""
 
 from __future__ import annotations
 

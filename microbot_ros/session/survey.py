@@ -93,7 +93,7 @@ def survey_recording(recording: Recording) -> tuple[Survey, Session | None]:
     Raises InputError if it was cut off before its first message.
     """
     if not (recording.complete or recording.end_ns):
-        raise InputError(recording.path, 'expected messages, found no whole one')
+        raise InputError(recording.path, 'expected messages, found no complete one')
     remarks = []
     if not recording.complete:
         remarks.append(CUT_OFF)

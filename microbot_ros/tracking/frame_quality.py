@@ -38,10 +38,10 @@ class FrameQuality:
         self._frames += 1
         if dt is not None:
             if dt > _LATE * self._interval > 0:
-                said['late'] = f'{dt:.3f} s without a frame, usual are {self._interval:.3f} s'
+                said['late'] = f'no frame for {dt:.3f} s, usually one every {self._interval:.3f} s'
             self._interval += _RECENT * (dt - self._interval) if self._interval else dt
         if jump_px:
-            said['jump'] = f'the picture jumped by {jump_px:.0f} px'
+            said['jump'] = f'the image jumped by {jump_px:.0f} px'
         return said
 
     def _see(self, image: np.ndarray) -> dict[str, str]:
@@ -53,9 +53,9 @@ class FrameQuality:
         full = 0.0 if sample[-1] < top else np.mean(sample == top)
         said = {}
         if full > _SATURATED:
-            said['saturated'] = f'{100 * full:.0f} % of the picture are saturated'
+            said['saturated'] = f'{100 * full:.0f} % of the image is saturated'
         if sample[0] == sample[-1]:
-            said['blank'] = 'the picture is blank'
+            said['blank'] = 'the image is blank'
         change = light / self._light - 1 if self._light else 0.0
         if abs(change) > _FLICKER:
             said['flicker'] = f'the light jumped by {100 * change:+.0f} %'
@@ -64,5 +64,5 @@ class FrameQuality:
             self._first_light = self._light
         drift = self._light / self._first_light - 1 if self._first_light else 0.0
         if abs(drift) > _DRIFT:
-            said['drift'] = f'the light is {100 * drift:+.0f} % off what it was at the start'
+            said['drift'] = f'the light differs by {100 * drift:+.0f} % from the start'
         return said

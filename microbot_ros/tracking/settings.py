@@ -36,16 +36,16 @@ class TrackerSettings(Settings):
     confirm_frames: int = Field(
         3, ge=2, le=20, description='frames in which a particle must be seen before it has an id')
     coast_frames: int = Field(
-        20, ge=0, le=1000, description='frames that an unseen particle is carried on')
+        20, ge=0, le=1000, description='frames for which an unseen particle is predicted')
     learning_frames: int = Field(
         10, ge=1, le=200, description='frames from which appearance is learned')
     colour: Weights | None = Field(
         None, description='weights of red, green and blue in what is looked at; brightness if not '
         'said')
     kinds: tuple[Kind, ...] = Field(
-        (), description='kinds that were pointed at: these are followed, and nothing else')
+        (), description='kinds to follow, from examples; nothing else is followed')
     standing: tuple[Place, ...] = Field(
-        (), description='places at which nothing of these kinds is a particle')
+        (), description='positions at which nothing of these kinds is a particle')
 
     @field_validator('colour')
     @classmethod

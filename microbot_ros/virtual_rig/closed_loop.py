@@ -89,8 +89,9 @@ def _make_loop(scenario: Scenario, source: str) -> Loop:
     gate = GateParameters(full_field_mT=wanted.max_field_mT)
     slowest = 1e3 / gate.command_timeout_ms
     if not scenario.camera.frame_rate_hz > slowest:
-        raise InputError(source, f"'camera.frame_rate_hz': expected more than {slowest:.3g} for a "
-                         'controller, as no command lives longer than that')
+        raise InputError(source, f"'camera.frame_rate_hz': expected more than {slowest:.3g} "
+                                 'with a controller, as commands expire after one period of '
+                                 'that rate')
     try:
         own = _parameters(controller_class(wanted.name), wanted)
         loop = Loop(LoopParameters(

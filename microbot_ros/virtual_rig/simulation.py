@@ -70,8 +70,9 @@ def strays(scenario: Scenario, particles: ParticleParameters, session: Session) 
     ids = session.tracks.particles
     phi = np.array([known.get(name, math.nan) for name in ids.tolist()])
     beyond = beyond_learned(model, Timeline(session.commands, times, positions, ids, phi))
-    return [f'{100 * out.mean():.0f} % of the time particles were beyond where a term was learned '
-            f'against {against}: it fades there' for against, out in beyond.items() if out.any()]
+    return [f'{100 * out.mean():.0f} % of the time particles were outside the '
+            f'range where a term was learned against {against}: the term fades '
+            'there' for against, out in beyond.items() if out.any()]
 
 
 def starting_places(

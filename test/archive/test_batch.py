@@ -272,7 +272,7 @@ def test_a_full_disk_leaves_nothing_half(tables, tmp_path):
 def test_a_job_of_another_version_is_refused(tables, tmp_path):
     job = work.Job('import', 'table', tables / 't0.csv', (tables / 't0.csv',), 'abc', tmp_path,
                    settings('import'), version='0.0.1')
-    with pytest.raises(work.VersionError, match=r'0\.1\.0, the client 0\.0\.1'):
+    with pytest.raises(work.VersionError, match=r'0\.1\.0; the client has 0\.0\.1'):
         work.do(job)
 
 

@@ -101,7 +101,7 @@ def test_a_scheduler_that_dies_loses_nothing(many):
             if progress.done == 10:
                 scheduler.kill()
 
-        with pytest.raises(ClusterError, match='the same command goes on from there'):
+        with pytest.raises(ClusterError, match='the same command continues from there'):
             batch.run_batch('fit', [folder], out, SETTINGS, scheduler=address, report=kill)
     before = results(out)
     assert 10 <= len(before) < 30

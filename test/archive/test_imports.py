@@ -64,11 +64,11 @@ def test_a_folder_becomes_sessions_and_every_table_counts_once(folder, tmp_path)
     said, told = done.stdout, done.stderr
     assert '7 recordings: 5 done, 0 kept from before, 1 tables of averages, 1 refused' in told
     assert 'lab/dimers/mute.csv: mute.csv: expected --position-unit' in told
-    assert 'its siblings in the folder have 0.8 µm in 3, 0.4 µm in 1' in told
+    assert 'other files in the folder have 0.8 µm in 3, 0.4 µm in 1' in told
     assert f'{out}: 5 sessions in {out}/sessions' in said
     assert 'Warning' not in told
-    assert 'lab/dimers has pixels of several sizes: 0.4 µm in 1, 0.8 µm in 3; unlike the ' \
-           'others: odd.csv (0.4 µm).' in said
+    assert 'lab/dimers has pixels of several sizes: 0.4 µm in 1, 0.8 µm in 3; different: ' \
+           'odd.csv (0.4 µm).' in said
     found = json.loads((tmp_path / 'a.json').read_text())
     sentences = {one['sentence'] for one in found['imported']['assumed']}
     for session in (out / 'sessions').iterdir():
@@ -155,7 +155,7 @@ def test_kinds_are_compared_each_with_its_own(tmp_path):
     assert [one.session for one in unlike] == ['s11']
     found = conclude(Archive(tmp_path))
     said = replace(found, unlike=unlike).sentences()
-    assert said == ['s11 is unlike the others: v (µm/s) 9.2, usually 26.6; another objective or '
-                    'a wrong pixel size would do that.']
+    assert said == ['s11 differs from the others: v (µm/s) 9.2, usually 26.6; another objective '
+                    'or a wrong pixel size can cause that.']
     assert [part.of_kind for part in whole.by_kind()] == ['fast', 'slow']
     assert len(of_sessions('v_um_s', [{'session': 'a'}], value[:1], value[:1]).by_kind()) == 1

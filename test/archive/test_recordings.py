@@ -86,7 +86,7 @@ def test_what_claims_to_be_one_and_is_none_is_named(shelf):
     assert {*refused} == {f'shelf/{name}' for name in (
         'empty.csv', 'bag.db3', 'cut.mcap', 'money.csv', 'secret.csv')}
     assert 'MCAP' in refused['shelf/bag.db3']
-    assert 'neither' in refused['shelf/money.csv']
+    assert 'it has none' in refused['shelf/money.csv']
 
 
 def test_a_session_keeps_what_belongs_to_it(laboratory):

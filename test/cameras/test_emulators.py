@@ -186,5 +186,5 @@ def test_a_buffer_that_runs_over_stops_it_and_says_so(kind, source, opened, monk
     held = core.getRemainingImageCount()
     for _ in range(held):  # are given first
         assert stream.read(0.05)
-    with pytest.raises(InputError, match='its buffer ran over'):
+    with pytest.raises(InputError, match='its buffer overflowed'):
         stream.read(0.05)

@@ -88,7 +88,7 @@ def test_an_interlaced_film_is_tracked_by_one_moment_and_says_so(
         cv2.imwrite(str(film / f'{t}.png'), _woven(t))
     out = tmp_path / 'out'
     assert microbot('track', film, '--out', out, '--like', '0,30,80', '--no-overlay') == 0
-    assert 'its pictures are interlaced' in capsys.readouterr().err
+    assert 'its images are interlaced' in capsys.readouterr().err
     off = _off(out)
     assert len(off) == 30
     assert np.sqrt(np.mean(off**2)) < 0.05  # by both moments together it is 1.2 px

@@ -82,7 +82,7 @@ def test_bad_images_are_left_out_and_named(tmp_path: Path) -> None:
     frames = list(open_source(tmp_path, said.append).frames())
     assert [frame.index for frame in frames] == [0, 3]
     assert said == [
-        f'{tmp_path / "1.png"}: frame 1 can not be decoded; left out',
+        f'{tmp_path / "1.png"}: frame 1 cannot be decoded; left out',
         f'{tmp_path / "2.png"}: frame 2 is 32×48, expected 64×48; left out',
     ]
 

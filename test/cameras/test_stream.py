@@ -93,8 +93,8 @@ def test_a_counter_that_is_set_back_is_said():
     kept, stream, camera = numbers(100, 101, 0, 1)
     assert kept == [100, 101, 0, 1]
     assert stream.lost == 0
-    assert camera.said == ['scripted: frame numbers went back from 101 to 0; what was lost '
-                           'between them is not known']
+    assert camera.said == ['scripted: frame numbers went back from 101 to 0; frames lost in '
+                           'between are not counted']
 
 
 def test_what_the_computer_dropped_is_lost_once():
@@ -114,7 +114,7 @@ def test_another_size_ends_it_with_a_sentence(other):
 
 def test_silence_is_a_lost_camera_unless_it_may_be_silent():
     impatient = CameraFormat(4, 6, 'mono8', 'Mono8', Clock.NONE, patience=0.0)
-    with pytest.raises(InputError, match='scripted: gave no frame for'):
+    with pytest.raises(InputError, match='scripted: no frame for'):
         FrameStream(Scripted(form=impatient)).read(0.0)
     triggered = CameraFormat(4, 6, 'mono8', 'Mono8', Clock.NONE, patience=math.inf)
     assert FrameStream(Scripted(form=triggered)).read(0.0) is None

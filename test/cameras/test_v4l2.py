@@ -159,13 +159,13 @@ def test_the_region_lies_where_it_is_asked(plugged):
 
 
 @pytest.mark.parametrize(('wanted', 'said'), [
-    ({'width_px': 33}, 'does not give 33×48 YUYV; nearest is 64×48 YUYV'),
+    ({'width_px': 33}, 'does not support 33×48 YUYV; nearest is 64×48 YUYV'),
     ({'pixel_format': 'NV12'}, 'pixel_format must be one of YUYV, GREY, MJPG'),
     ({'exposure_ms': 5000.0}, 'exposure_ms must be 0.3 to 200 ms'),
     ({'gain': 65.0}, 'gain must be 0 to 64'),
-    ({'frame_rate_hz': 400.0}, 'does not give 400 frames/s; nearest is 60'),
-    ({'offset_x_px': 8}, 'has no offset_x_px to set'),
-    ({'trigger': 'Line1'}, 'has no trigger to set'),
+    ({'frame_rate_hz': 400.0}, 'does not support 400 frames/s; nearest is 60'),
+    ({'offset_x_px': 8}, 'offset_x_px cannot be set'),
+    ({'trigger': 'Line1'}, 'trigger cannot be set'),
 ])
 def test_what_it_cannot_do_is_refused(plugged, wanted, said):
     kernel = plugged()
@@ -178,19 +178,19 @@ def test_a_camera_that_is_pulled_out(plugged):
     kernel = plugged(formats=('GREY',))
     stream = opened()
     kernel.gone = True
-    with pytest.raises(InputError, match='/dev/video0: stopped giving frames'):
+    with pytest.raises(InputError, match='/dev/video0: stopped delivering frames'):
         stream.read(0.1)
     stream.close()
 
 
 @pytest.mark.parametrize('source', ['/dev/video99', '99', '/dev/null', '/dev/nothing/here'])
 def test_only_the_camera_that_was_asked_for_is_opened(source):
-    with pytest.raises(InputError, match='expected a camera that gives frames'):
+    with pytest.raises(InputError, match='expected a camera that delivers frames'):
         FrameStream(V4l2Camera(CameraSettings(source), pytest.fail))
 
 
 def test_a_device_that_cannot_stream_is_none(plugged):
     kernel = plugged()
     kernel._querycap = lambda data: struct.pack_into('<2I', data, 84, 0x8420_0001, 0x1)
-    with pytest.raises(InputError, match='no camera that streams'):
+    with pytest.raises(InputError, match='not a camera that can stream'):
         opened()

@@ -66,7 +66,7 @@ def test_a_graticule_along_the_coils_gives_scale_and_rotation(lines: Path, tmp_p
     assert found['pixel_size_um'] == pytest.approx(8 / _PERIOD, rel=1e-3)
     assert found['rotation_deg'] == pytest.approx(math.degrees(_ANGLE), abs=0.1)
     assert 'mirrored' not in found  # nothing was said of it
-    assert 'along the coils' in said
+    assert 'aligned with the coils' in said
     assert json.loads((tmp_path / 'r.json').read_text())['graticule']['period_px'] == \
         pytest.approx(_PERIOD, rel=1e-3)
     picture = cv2.imread(str(tmp_path / 'o' / 'calibration.png'))

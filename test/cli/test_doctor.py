@@ -31,7 +31,7 @@ def test_whether_real_time_is_granted_is_said_and_not_kept(monkeypatch):
 def test_how_late_the_dead_man_may_be_is_measured_on_a_busy_machine(monkeypatch):
     monkeypatch.setattr(doctor, '_WATCH_SECONDS', 0.2)
     found = _dead_man()
-    assert f'beside {os.cpu_count()} busy programs woke at most ' in found.detail
+    assert f'with {os.cpu_count()} busy programs, woke at most ' in found.detail
     assert not [child for child in psutil.Process().children() if 'while True' in child.cmdline()]
     monkeypatch.setattr(doctor, '_LATE_MS', 0.0)
     assert (_dead_man().level, 'expected 0 ms' in _dead_man().detail) == ('warn', True)
@@ -44,11 +44,11 @@ def test_lateness_is_what_comes_on_top_of_the_wait():
 
 
 @pytest.mark.parametrize(('coil_driver', 'level', 'sentence'), [
-    ('amplifier: modbus', 'fail', 'modbus has none: if this computer loses its power'),
-    ('{amplifier: scpi, accept_no_watchdog: true}', 'warn', 'scpi, accepted without one'),
-    ('amplifier: roboclaw', 'ok', 'roboclaw: armed in the device, and read back'),
-    ('port: /dev/null', 'ok', 'serial_transfer: in the firmware, where it has one'),
-    ('accept_no_watchdog: true', 'warn', 'serial_transfer, accepted without one'),
+    ('amplifier: modbus', 'fail', 'modbus has no watchdog: if this computer loses its power'),
+    ('{amplifier: scpi, accept_no_watchdog: true}', 'warn', 'scpi, accepted without a watchdog'),
+    ('amplifier: roboclaw', 'ok', 'roboclaw: set in the device and read back'),
+    ('port: /dev/null', 'ok', 'serial_transfer: in the firmware, if it has one'),
+    ('accept_no_watchdog: true', 'warn', 'serial_transfer, accepted without a watchdog'),
 ])
 def test_what_a_missing_watchdog_means_is_said(tmp_path, coil_driver, level, sentence):
     rig = tmp_path / 'rig.yaml'
@@ -90,17 +90,17 @@ def test_the_camera_is_opened_and_what_it_gives_is_said(tmp_path):
     found = _camera(rig)
     assert found.level == 'ok'
     said = re.fullmatch(r'file (\S+): 64×48 decoded to grey, ([\d.]+) frames/s, 0 lost; '
-                        r'clock: none: a frame is stamped as it arrives', found.detail)
+                        r'clock: no clock: a frame is stamped on arrival', found.detail)
     assert said, found.detail
     assert 50 < float(said[2]) < 150
     (film / '7.png').write_bytes(b'')
     found = _camera(rig)
     assert (found.level, '1 lost' in found.detail) == ('warn', True)
-    assert 'frame 7 can not be decoded' in found.detail
+    assert 'frame 7 cannot be decoded' in found.detail
 
 
 @pytest.mark.parametrize(('parameters', 'said'), [
-    ('source: /dev/video99', 'expected a camera that gives frames'),
+    ('source: /dev/video99', 'expected a camera that delivers frames'),
     ('camera: polaroid', 'expected one of aravis, file'),
     ('source: nowhere.mp4', 'not found'),
 ])

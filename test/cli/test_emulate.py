@@ -43,7 +43,7 @@ def test_it_takes_over_a_stale_link_and_leaves_files_alone(tmp_path):
     link.write_text('precious')
     done = run('--link', link)
     assert (done.returncode, done.stdout) == (2, '')
-    assert f'{link}: expected a name that is free' in done.stderr
+    assert f'{link}: expected an unused path' in done.stderr
     assert link.read_text() == 'precious'
 
 

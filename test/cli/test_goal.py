@@ -116,7 +116,7 @@ def test_goals_that_others_replaced_are_waited_for_no_longer(monkeypatch):
         (5.0, 'far', on), (6.0, 'elsewhere', on), (6.0, 'there', done), (5.0, 'near', done)])
     result = run('1,1', '--wait', '60')
     assert (result.exit_code, result.stdout) == (
-        1, 'not arrived: other goals have taken their place\n')
+        1, 'not arrived: other goals have replaced these\n')
     monkeypatch.setattr(Graph, 'answers', [(5.0, 'far', on), (0.0, 'waits', on)])
     result = run('1,1', '--wait', '60')
     assert (result.exit_code, result.stdout) == (
@@ -124,13 +124,13 @@ def test_goals_that_others_replaced_are_waited_for_no_longer(monkeypatch):
     monkeypatch.setattr(Graph, 'answers', ())
     result = run('1,1', '--wait', '60')
     assert (result.exit_code, result.stdout) == (
-        1, 'not arrived: nothing more was heard of the controller\n')
+        1, 'not arrived: the controller stopped publishing\n')
 
 
 @pytest.mark.parametrize(('controller', 'arguments', 'said'), [
-    ('waypoint', ('1,1',), "1 goal taken by controller 'waypoint'\n"),
+    ('waypoint', ('1,1',), "1 goal accepted by controller 'waypoint'\n"),
     ('path_following', ('--path', '1,1', '2,2', '--namespace', 'rig_2'),
-     "path of 2 points taken by controller 'path_following'\n")])
+     "path of 2 points accepted by controller 'path_following'\n")])
 def test_who_took_them_is_told_and_what_keeps_them_from_being_acted_on(
         monkeypatch, controller, arguments, said):
     monkeypatch.setattr(Graph, 'controller', controller)

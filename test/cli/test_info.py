@@ -42,7 +42,7 @@ def test_a_folder_is_shown_written_and_drawn(folder, tmp_path):
     assert found['duration_s'] == pytest.approx(2.9)
     assert (tmp_path / 'a.png').read_bytes().startswith(b'\x89PNG')
     (folder / 'commands.csv').write_text('t_s,bx_mT,by_mT\n0,2,0\n')
-    assert 'φ and drift cannot be told apart' in ' '.join(run(folder).split())
+    assert 'φ and drift cannot be distinguished' in ' '.join(run(folder).split())
 
 
 def test_a_recording_that_was_cut_off_is_shown_and_repaired(tmp_path):

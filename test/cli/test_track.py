@@ -162,7 +162,7 @@ def test_a_broken_image_is_named_and_the_rest_tracked(
     for path in images.iterdir():
         (folder / path.name).write_bytes(path.read_bytes() if path.name != '3.png' else b'')
     assert _run(folder, '--out', tmp_path / 'out', '--no-overlay') == 0
-    assert 'frame 3 can not be decoded' in capsys.readouterr().err
+    assert 'frame 3 cannot be decoded' in capsys.readouterr().err
     frames = {line.split(',')[0] for line in (
         tmp_path / 'out' / 'tracks.csv').read_text().splitlines()[1:]}
     assert '3' not in frames
@@ -173,7 +173,7 @@ def test_too_few_frames_are_said(
     images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _run(f'{images}/[01].png', '--out', tmp_path, '--no-overlay') == 0
-    assert 'needs 3 frames, here are 2' in capsys.readouterr().err
+    assert 'needs 3 frames, the film has 2' in capsys.readouterr().err
 
 
 def test_nothing_to_track_is_said(
@@ -183,7 +183,7 @@ def test_nothing_to_track_is_said(
     for k in range(3):
         cv2.imwrite(str(tmp_path / f'{k}.png'), rng.normal(120, 5, (96, 128)).astype(np.uint8))
     assert _run(tmp_path, '--out', tmp_path / 'out') == 0
-    assert 'nothing in it stands out' in capsys.readouterr().err
+    assert 'nothing stands out' in capsys.readouterr().err
     assert (tmp_path / 'out' / 'tracks.csv').read_text() == 'frame,particle,x_px,y_px\n'
 
 
@@ -213,7 +213,7 @@ def test_commands_tell_of_turns(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(('text', 'expected'), [
     ('t_s,bx_mT,by_mT\n0,1,nan\n', 'commands.csv:2'), ('t_s,bx_mT\n0,1\n', 'by_mT'),
-    ('t_s,bx_mT,by_mT\n1,1,0\n0,1,0\n', 'commands.csv:3: expected times that rise')])
+    ('t_s,bx_mT,by_mT\n1,1,0\n0,1,0\n', 'commands.csv:3: expected ascending times')])
 def test_bad_commands_are_refused(
     images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, expected: str
 ) -> None:

@@ -78,7 +78,7 @@ def test_a_port_that_is_taken_is_one_line(microbot: Any) -> None:
         command = microbot('cockpit', '--port', str(port))
         said, _ = command.communicate(timeout=60)
     assert command.returncode == 2
-    assert f'cannot listen at 127.0.0.1, port {port}' in said.strip().splitlines()[-1]
+    assert f'cannot listen on 127.0.0.1, port {port}' in said.strip().splitlines()[-1]
     assert 'Traceback' not in said
 
 

@@ -187,7 +187,7 @@ if not child:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     time.sleep(600)
 def end(*_):
-    print('told to end', flush=True)
+    print('stopped on request', flush=True)
     sys.exit(0)
 signal.signal(signal.SIGTERM, end)
 print(child, flush=True)
@@ -203,7 +203,7 @@ while True:
         while not (told := str((discovery.state({}) or {})['sentence'])).isdigit():
             await asyncio.sleep(0.01)
         await discovery.stop()
-        while (discovery.state({}) or {})['sentence'] != 'told to end':
+        while (discovery.state({}) or {})['sentence'] != 'stopped on request':
             await asyncio.sleep(0.01)
         await discovery.end()
         return int(told)

@@ -448,10 +448,10 @@ class TestStop:
 
     @pytest.mark.parametrize(('said', 'refused', 'zero'), [
         ('zero, confirmed by a reading', False, 'confirmed'),
-        ('zero sent, not confirmed: the amplifier reads nothing back', False, 'sent'),
+        ('zero sent, not confirmed: the amplifier measures no currents', False, 'sent'),
         ('zero sent, not confirmed', True, 'sent'),
-        ('not reachable: /dev/ttyUSB0; coils there may carry current', True, 'unreachable'),
-        ('a current is commanded', True, None)])
+        ('not reachable: /dev/ttyUSB0; these coils may carry current', True, 'unreachable'),
+        ('current is commanded', True, None)])
     @pytest.mark.parametrize('verb', ['stop', 'disarm'])
     def test_the_answer_tells_which_of_three_holds(
             self, served: Any, verb: str, said: str, refused: bool, zero: str | None) -> None:

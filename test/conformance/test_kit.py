@@ -84,7 +84,7 @@ class Mumbles(Wind):
 
 
 @pytest.mark.parametrize(('kind', 'complaint'), [
-    (Blows, 'moves particles at strength zero'),
+    (Blows, 'moves particles at zero strength'),
     (Breaks, 'is not finite at s = -5'),
     (Jumps, 'its derivative depends on the step'),
     (Silent, 's changes nothing'),

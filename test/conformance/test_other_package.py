@@ -145,7 +145,7 @@ def test_the_worlds_for_training_refuse_it(installed, tmp_path):
     run = python(installed, '-c', 'import sys; from microbot_ros.gym.worlds import SteeredWorlds;'
                  'SteeredWorlds(1, sys.argv[1], None, None)', scenario)
     assert run.stderr.splitlines()[-1].endswith(
-        "scenario.yaml: 'effects': expected effects that the physics knows, not light_gradient of "
+        "scenario.yaml: 'effects': expected effects of the physics, not light_gradient of "
         'another package')
 
 

@@ -198,7 +198,7 @@ def test_what_the_border_makes_of_a_field_is_checked_too(bad, monkeypatch):
             1, t=tick / 60, model=Model(5e-3, effects=(NoNumberAside(0.0, 0.0),)), **edge))
         assert outcome.result is Result.FAULT
         assert not outcome.command.field.any()
-    assert manager.fault == 'east: commanded nan mT; the limit is 5'
+    assert manager.fault == 'east: commanded nan mT; the limit is 5 mT'
 
 
 @pytest.mark.parametrize('name', ['speed', 'expected', 'phi', 'speed_std', 'phi_std'])

@@ -67,7 +67,7 @@ class Answers(East):
 
 class Refuses(East):
     def activate(self, inputs):
-        raise ParticleLostError('particle 3 is not seen')
+        raise ParticleLostError('particle 3 is not tracked')
 
 
 class Spins(East):
@@ -251,7 +251,7 @@ def test_a_late_answer_is_not_used_and_not_a_lasting_fault():
     waits.gate = threading.Event()
     manager = ControllerManager({'waits': waits}, 'waits', deadline=0.02, patience=60)
     assert 'took longer than' in run(manager, 1)[0].message
-    assert 'tick before' in run(manager, 1)[0].message
+    assert 'previous command' in run(manager, 1)[0].message
     manager._deadline = AMPLE
     waits.gate.set()
     assert manager._threads['waits']._worker._newest.returned.wait(10)
@@ -527,7 +527,7 @@ def test_no_tick_waits_for_parameters_and_what_drives_goes_on(slow):
                           seconds=0.01)
     assert time.monotonic() - began < 2.0
     assert not refused.ok
-    assert refused.message == f'slow is still being configured, aside: {AGAIN}'
+    assert refused.message == f'slow is still being configured in the background: {AGAIN}'
     outcome = run(slow, 20)[-1]
     assert outcome.result is Result.OK
     assert outcome.command.field.any()

@@ -62,7 +62,7 @@ def test_ensemble_keeps_everybody_in_view():
 
 def test_ensemble_waits_for_goals_and_for_phi_and_reports_the_lost():
     ensemble = Ensemble()
-    assert 'waits' in ensemble.compute(controller_input()).progress.message
+    assert 'waiting' in ensemble.compute(controller_input()).progress.message
     goals = Goals(np.zeros((2, 2)))
     unknown = controller_input(goals=goals, phi_std=np.full(3, np.inf))
     assert 'learns' in ensemble.compute(unknown).progress.message
@@ -107,7 +107,7 @@ def test_carry_moves_the_centre_towards_the_goal_and_costs_shape_only_where_it_m
     assert rms(wanted - places[-1]) <= np.hypot(lowest, 1.2e-6)
     idle = Formation()
     idle.configure(FormationParameters(shape='carry'))
-    assert 'waits' in idle.compute(controller_input()).progress.message
+    assert 'waiting' in idle.compute(controller_input()).progress.message
 
 
 @pytest.mark.parametrize('shape', ['line', 'ring', 'grid'])

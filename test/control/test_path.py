@@ -113,6 +113,6 @@ def test_empty_path_lets_go_and_another_starts_anew():
     controller = PathFollowing()
     command = controller.compute(controller_input())
     assert not np.any(command.field)
-    assert 'waits' in command.progress.message
+    assert 'waiting' in command.progress.message
     controller.compute(controller_input(t=0.1, path=CIRCLE))
     assert not np.any(controller.compute(controller_input(t=0.2)).field)

@@ -98,7 +98,7 @@ def test_the_action_is_the_field(proportional):
     way = (GOALS.position - shown.position)[0] @ [1, 1j] / np.exp(1j * shown.phi[0])
     assert command.field @ [1, 1j] == pytest.approx(5e-3 * way / abs(way), rel=1e-5)
     assert command.particles.tolist() == [0]
-    assert command.progress.message == '0 of 1 particles have been at their goals'
+    assert command.progress.message == '0 of 1 particles have reached their goals'
 
 
 def test_at_the_last_goal_it_is_done_and_goes_round_a_triangle(proportional):
@@ -128,7 +128,7 @@ def test_an_answer_that_is_no_number_commands_nothing_and_is_no_fault(tmp_path, 
         outcome = playing.tick(controller_input(1, t=k / 30, goals=GOALS))
         assert outcome.result is Result.NO_SOLUTION
         assert not outcome.command.field.any()
-        assert outcome.message.startswith('the policy answered [')
+        assert outcome.message.startswith('the policy returned [')
     assert playing.fault == ''
 
 

@@ -161,7 +161,7 @@ def test_two_particles_end_far_below_the_first_order_floor(theta_seen):
 
 def test_what_predictive_needs_and_refuses():
     controller = Predictive()
-    with pytest.raises(ModelError, match='none is loaded'):
+    with pytest.raises(ModelError, match='needs a model'):
         controller.activate(controller_input())
     with pytest.raises(ModelError, match='rollers'):
         controller.activate(controller_input(model=Model(LIMIT, 'rolling')))

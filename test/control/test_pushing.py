@@ -67,7 +67,7 @@ def test_it_asks_for_rollers_and_for_somebody_who_pushes():
     with pytest.raises(ModelError, match='propulsion: rolling'):
         Pushing().activate(controller_input())
     alone = controller_input(1, model=Model(5e-3, 'rolling'), path=BEND)
-    with pytest.raises(ParticleLostError, match='nobody'):
+    with pytest.raises(ParticleLostError, match='no other particle'):
         Pushing().compute(alone)
     controller = Pushing()
     with pytest.raises(ValueError, match='round_um must be more'):

@@ -123,7 +123,7 @@ def test_it_asks_for_rollers_and_for_all_of_them():
     whole = rolling(goals=goals)
     rows = {name: getattr(whole, name)[:2] for name in (
         'ids', 'position', 'sigma', 'theta', 'speed', 'phi', 'speed_std', 'phi_std')}
-    with pytest.raises(ParticleLostError, match='particle 2 is not seen'):
+    with pytest.raises(ParticleLostError, match='particle 2 is not tracked'):
         controller.compute(dataclasses.replace(whole, **rows))
 
 
@@ -147,7 +147,7 @@ def test_whom_it_can_tell_nothing_of_it_refuses_and_stands_still():
         assert not messages
         way = command.field / 5e-3 * (command.frequency > 1) * 3e-6 * command.frequency / 60
         seen = dataclasses.replace(seen, position=seen.position + way)
-    assert [message.split(' ')[:4] for message in messages] == [['numbers', '0', 'and', '1']]
+    assert [message.split(' ')[1:5] for message in messages] == [['number', '0', 'and', '1']]
 
 
 def test_a_particle_that_was_lost_in_the_survey_is_surveyed_again():
@@ -158,4 +158,4 @@ def test_a_particle_that_was_lost_in_the_survey_is_surveyed_again():
     with pytest.raises(ParticleLostError):
         controller.compute(rolling(count=2, t=1.0, goals=goals))
     command = controller.compute(rolling(t=1.1, goals=goals))
-    assert command.progress.message == 'sees how often frames come'
+    assert command.progress.message == 'measuring the frame rate'

@@ -72,7 +72,7 @@ def commanded(session, field):
 def test_a_mirrored_command_is_refused(session, mistake):
     field = session.commands.field
     wrong = field * [1, -1] if mistake == 'one pair reversed' else field[:, ::-1]
-    with pytest.raises(InputError, match='film-1: expected particles that turn the way of the'):
+    with pytest.raises(InputError, match='film-1: expected particles that turn with the command'):
         coil_map(commanded(session, wrong))
 
 

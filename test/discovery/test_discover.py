@@ -82,7 +82,7 @@ def test_a_stage_that_is_touched_decides_nothing(film, hidden, verdict):
     found = discover([film(14, touched | hidden)[0]])
     assert found.verdict == verdict
     assert [e.id for e in found.effects if e.status == 'established'] == list(hidden)
-    assert any('3 steps are longer than the motion around' in r for r in found.remarks)
+    assert any('3 steps are longer than the motion before' in r for r in found.remarks)
 
 
 def test_several_sessions_are_explained_together(film):
@@ -126,7 +126,7 @@ def test_command_writes_a_model_that_can_be_loaded(film, tmp_path):
     ('tracks', 'position', lambda x: 1000 * x, 'positions in µm'),
     ('tracks', 'position', lambda x: 0 * x, 'particles that move'),
     ('tracks', 't', lambda t: 1000 * t, 'times in s'),
-    ('commands', 'field', lambda b: 0 * b, 'a field that is not zero'),
+    ('commands', 'field', lambda b: 0 * b, 'a nonzero field'),
     ('commands', 't', lambda t: t + 4.0, 'at least 50 frames'),
     ('commands', 't', lambda t: t + 1000, 'before the tracks end'),
 ])

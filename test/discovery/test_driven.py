@@ -173,7 +173,7 @@ def test_when_it_was_recorded_changes_nothing():
 
 
 def test_experiments_must_come_one_after_the_other():
-    with pytest.raises(ValueError, match='before the one before has ended'):
+    with pytest.raises(ValueError, match='before the previous one has ended'):
         join([_experiment(0.0, 10.0), _experiment(5.0, 10.0)])
     with pytest.raises(ValueError, match='under a field'):
         join([_experiment(0.0, 10.0, field=0.0)])
@@ -476,8 +476,9 @@ def test_what_is_in_no_list_is_told_with_what_it_depends_on_and_learned():
     assert not any(effect.status == 'established' for effect in found.effects)
     assert found.learned[0].term.against == 'heading'
     assert found.model.learned
-    assert 'to confirm what was learned' in found.next_experiment.sentence
-    assert 'in no list. It depends on heading' in section(driven)
+    assert 'to confirm the learned term' in found.next_experiment.sentence
+    assert ('no effect of the library explains the data. The residuals depend on heading'
+            in section(driven))
 
 
 @given(st.floats(0.0, 3600.0))

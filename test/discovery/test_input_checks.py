@@ -33,14 +33,14 @@ def test_too_short(film):
 def test_no_commands(film):
     session, _ = film(0, duration=5.0)
     commands = replace(session.commands, field=np.zeros_like(session.commands.field))
-    with pytest.raises(InputError, match='commands with a field that is not zero'):
+    with pytest.raises(InputError, match='commands with a nonzero field'):
         check_sessions([replace(session, commands=commands)])
 
 
 def test_rollers_that_never_roll(film):
     session, _ = film(0, duration=5.0, rolling=True)
     still = replace(session.commands, frequency=np.zeros(len(session.commands.t)))
-    with pytest.raises(InputError, match='a field that rotates; found a frequency of 0 Hz'):
+    with pytest.raises(InputError, match='a rotating field; found a frequency of 0 Hz'):
         check_sessions([replace(session, commands=still)])
 
 
@@ -87,12 +87,12 @@ def shaken(session, particles, seed=1):
 
 def test_particles_that_are_stuck(film):
     session, _ = film(0, duration=10.0)
-    with pytest.raises(InputError, match=r'within 0\.3 µm of where they were'):
+    with pytest.raises(InputError, match=r'within 0\.3 µm of their place'):
         check_sessions([shaken(session, (0, 1, 2))])
     _, remarks = check_sessions([shaken(session, (1,))])
     assert [r for r in remarks if 'stuck' in r] == [
-        'film-0: stuck, since it goes nowhere: particle 1. It denies what carries the others; '
-        'better left out.']
+        'film-0: stuck, as the position does not change: particle 1. It contradicts any effect '
+        'that moves the others; leave it out.']
 
 
 def test_particles_that_follow_no_command(film):
@@ -141,7 +141,7 @@ def test_sessions_whose_steps_are_alike_by_chance_are_different(film):
 
 
 def test_two_kinds_of_propulsion(film):
-    with pytest.raises(InputError, match='rolling beside catalytic in film-0: look at each'):
+    with pytest.raises(InputError, match='rolling beside catalytic in film-0: analyse each'):
         check_sessions([film(0, duration=5.0)[0], film(1, duration=5.0, rolling=True)[0]])
 
 
@@ -284,8 +284,8 @@ def test_particles_pressed_against_a_wall_are_left_out(spread, turn):
     prepared, remarks = check_sessions([session])
     assert list(prepared[0].ids) == [1, 2]
     assert [r for r in remarks if 'wall' in r] == [
-        'walled-3: pressed against a wall, or the edge of the dish: particle 0. Left out: what '
-        'holds it there acts on no other.']
+        'walled-3: pressed against a wall or the edge of the dish: particle 0. Left out: the '
+        'force that holds it acts on no other particle.']
 
 
 def test_where_a_wall_holds_all_that_is_told():

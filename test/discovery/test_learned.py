@@ -215,7 +215,7 @@ def test_the_verdict_stays_unnamed_and_the_gap_shrinks(found):
     (entry, *_) = found.as_json()['learned']
     assert {'against', 'frame', 'acts_on', 'formula', 'parameters', 'looks_like', 'gap_after_um',
             'band_95'} <= set(entry)
-    assert 'A curve is not a cause' in ' '.join(found.sentences())
+    assert 'A fitted curve does not name a cause' in ' '.join(found.sentences())
     assert 'to confirm' in found.next_experiment.sentence
 
 

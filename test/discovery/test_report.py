@@ -18,8 +18,9 @@ from microbot_ros.discovery.report.figures import draw_bands, embedded
 from microbot_ros.discovery.report.page import digests, headline, page, write_report
 from microbot_ros.discovery.report.prediction import predict
 from microbot_ros.discovery.report.residual import by_place, residual
+from microbot_ros.discovery.report.summary import summary
 from microbot_ros.discovery.report.words import chance, interval, limit, listed, number, odds
-from microbot_ros.discovery.result import Estimate, Limit
+from microbot_ros.discovery.result import Estimate, Limit, NextExperiment
 from microbot_ros.model.effects import EFFECTS
 
 DRIFT = {'uniform_drift': {'wx_um_s': 0.8, 'wy_um_s': -0.5}}
@@ -93,17 +94,49 @@ def test_headlines_follow_the_verdict(drifting):
     proxy = tuple(replace(e, status='proxy') for e in found.effects)
     left = tuple(replace(m, p_value=1e-6) for m in found.maps_after if m.against == 'position')
     unnamed = headline(replace(found, verdict='unnamed', effects=proxy, unexplained=left))
-    assert 'shows against position (p = 1·10⁻⁶)' in unnamed
+    assert 'depends on position (p = 1·10⁻⁶)' in unnamed
     assert 'can only stand in' in unnamed
-    assert 'Nothing is missing' in headline(replace(found, verdict='consistent', effects=()))
+    assert 'No effect was found' in headline(replace(found, verdict='consistent', effects=()))
     beside = headline(replace(
         found, verdict='unnamed', unexplained=left,
         effects=(*found.effects, replace(proxy[0], id='hot_spot'))))
-    assert 'Established beside it: uniform drift' in beside
+    assert 'Established as well: uniform drift' in beside
     assert 'hot spot can only stand in' in beside
     hint = tuple(replace(e, status='suggested') for e in found.effects)
     assert 'hint of uniform drift' in headline(
         replace(found, verdict='consistent', effects=hint))
+
+
+def test_the_summary_says_in_two_sentences_what_moves_particles_and_what_to_do(drifting):
+    found, _ = drifting
+    [drift] = found.effects
+    gap = replace(found.gap, horizon=1.0, before=0.5e-6, after=0.1e-6)
+    named = replace(found, gap=gap)
+    left = tuple(replace(m, p_value=1e-6) for m in found.maps_after if m.against == 'position')
+    nothing = replace(found, verdict='consistent', effects=())
+    bounded = tuple(replace(one, upper_limit=1e-6) for one in found.limits)
+    unbounded = tuple(replace(one, upper_limit=np.inf) if one.id == 'speed_decay' else one
+                      for one in bounded)
+    unnamed = replace(found, verdict='unnamed', unexplained=left, next_experiment=None)
+    for case, first, second in (
+            (named, 'lacks one effect: uniform drift (every particle is carried along',
+             'predictions 1 s ahead miss by 0.1 µm beyond the noise, in place of 0.5 µm'),
+            (replace(named, effects=(replace(drift, indistinguishable_from=('linear_flow',)),)),
+             'uniform drift', 'fits linear flow as well: record the experiment proposed below'),
+            (replace(named, gap=replace(gap, before=np.nan)), 'uniform drift', 'Use model.yaml'),
+            (replace(nothing, limits=bounded), 'diffusion explains this recording',
+             'Effects below the limits'),
+            (replace(nothing, limits=unbounded), 'diffusion explains this recording',
+             'could not have shown speed decay'),
+            (replace(nothing, effects=(replace(drift, status='suggested'),)),
+             'apart from a weak sign of uniform drift', ''),
+            (unnamed, 'no known effect explains; it depends on “position”', 'Do not rely on'),
+            (replace(unnamed, next_experiment=NextExperiment('record steps', 5.0)),
+             'it depends on “position”', 'yet: record steps.')):
+        one, two = re.split(r'(?<=\.) (?=[A-Z])', summary(case))
+        assert first in one
+        assert second in two
+        assert not re.search(r'BIC|log |p =|±', one + two)
 
 
 def test_the_band_holds_nine_in_ten_and_the_poorer_model_leaves_it(film):

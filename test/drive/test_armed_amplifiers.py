@@ -50,7 +50,7 @@ def test_each_coil_gets_one_pulse_before_anything_else(rig, device):
 @every_amplifier
 @pytest.mark.parametrize(('fault', 'sentence'), [
     ('open=1', 'coil_plus_y is open'), ('reversed=3', 'coil_minus_y is reversed'),
-    ('half_gain=4', 'coil_minus_x has a gain of 0.5'),
+    ('half_gain=4', 'coil_minus_x has the wrong gain, 0.5'),
 ])
 def test_a_coil_that_is_wrong_refuses_arming(rig, device, fault, sentence):
     device.fault(fault)

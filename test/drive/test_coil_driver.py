@@ -111,7 +111,8 @@ def test_arming_tries_each_coil_and_then_lets_commands_flow(make, protocol):
     pulses = [[abs(current) > 0.1 for current in flowed]
               for flowed in device.flowed if any(flowed)]
     assert pulses == [[coil == pulsed for coil in range(4)] for pulsed in range(4)]
-    assert driver.warning.startswith('no watchdog') == (protocol in WITHOUT_WATCHDOG)
+    unwatched = driver.warning.startswith('the amplifier has no watchdog')
+    assert unwatched == (protocol in WITHOUT_WATCHDOG)
     if protocol == 'serial_transfer':
         assert 0.09 < driver.watchdog_s < 0.15
         assert device.causes[-1] == 'watchdog'
@@ -168,7 +169,7 @@ def test_a_coil_that_is_wrong_refuses_arming(make, fault):
 def test_a_refusal_tells_the_reason(rig):
     rig.device.coils.command(DRIVING)  # a hand at the board
     assert rig.until(lambda: rig.gate.fault).reason is Reason.UNCOMMANDED
-    assert rig.ask().startswith('current flows without a command')
+    assert rig.ask().endswith('measured while zero is commanded')
     rig.until(lambda: rig.device.flows(ZERO), SOON_S)  # as it is said again and again
 
 
@@ -383,10 +384,10 @@ def checking(make, **options):
 
 def test_stopping_during_the_check_answers(make):
     rig, answer = checking(make, settling_s=5.0)
-    assert rig.ask() == 'the self-check is going on'
+    assert rig.ask() == 'a self-check is already running'
     assert not rig.driver.command(DRIVING)
     rig.stop()
-    assert answer.result() == 'the driver stopped'
+    assert answer.result() == 'the coil driver stopped'
 
 
 def test_disarming_during_the_check_ends_it(make):
@@ -542,9 +543,9 @@ def test_a_port_that_no_sentinel_can_hold_must_be_accepted(url, accepted, right)
     amplifier = amplifier_class('sabertooth')(url, FULL_SCALE_A)
     if right:
         driver = CoilDriver(amplifier, LIMITS, print, **options)
-        assert ('no process can watch' in driver.warning) == (not amplifier.watchable)
+        assert ('the sentinel cannot open' in driver.warning) == (not amplifier.watchable)
     else:
-        with pytest.raises(InputError, match='accept_no_watchdog: no process can watch'):
+        with pytest.raises(InputError, match='accept_no_watchdog: the sentinel cannot open'):
             CoilDriver(amplifier, LIMITS, print, **options)
 
 
@@ -760,7 +761,7 @@ def test_without_its_sentinel_the_coils_are_at_zero_and_another_begins(sentinel)
     first = rig.driver._last_resort
     first.there = False
     first.left_at = lambda: sentinel.append(rig.driver._sent)
-    assert 'watches' in rig.tripped(Reason.INTERNAL).detail
+    assert 'sentinel' in rig.tripped(Reason.INTERNAL).detail
     assert rig.driver._last_resort is not first
     assert sentinel == ['abandoned', ZERO]  # zero goes out first
     rig.drive()
@@ -954,7 +955,7 @@ def test_a_machine_that_was_suspended_wakes_at_zero_and_disarmed(rig):
 def test_the_heat_of_before_keeps_a_hot_coil_from_being_driven(make):
     rig = make(heat=(0.0, 1.2, 0.0, 0.0))
     rig.turn(0.1)
-    assert rig.ask().startswith('a coil is too hot: 120%')
+    assert rig.ask().startswith('a coil is at 120% of its thermal limit')
     rig.turn(20.0)
     rig.drive()
 

@@ -137,7 +137,7 @@ def test_without_its_sentinel_an_unwatched_device_is_not_driven(emulate):
     try:
         drive(driver, board)
         driver._last_resort._process.kill()
-        assert command_until_fault(driver).detail.startswith('the process that watches over')
+        assert command_until_fault(driver).detail.startswith('the sentinel process ended')
         board.eventually([0] * 4)
         drive(driver, board)  # with another one
     finally:

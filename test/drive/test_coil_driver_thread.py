@@ -56,7 +56,7 @@ def test_a_check_without_an_answer_is_given_up(drivers, monkeypatch):
     driver = drivers(self_check=True)
     driver._go_on_checking = lambda *_: None
     until(lambda: driver.gate._measured_s > 0)
-    assert driver.arm() == 'the driver did not answer within 0.2 s'
+    assert driver.arm() == 'the coil driver did not answer within 0.2 s'
     until(lambda: not driver.gate.armed)
 
 

@@ -237,7 +237,7 @@ def test_heat_follows_the_exponential_and_trips_above_what_a_coil_bears():
     assert gate.tick(until_hot + 1e-6) == ZERO
     assert tripped(gate, Reason.HEAT)
     gate.measured(ZERO, until_hot + 1e-6)
-    assert 'too hot' in gate.arm(until_hot + 1e-6)
+    assert 'thermal limit' in gate.arm(until_hot + 1e-6)
     gate.tick(until_hot + 1.0)
     assert gate.heat[1] == pytest.approx(math.exp(-1 / 8), rel=1e-4)
     assert gate.arm(until_hot + 1.0) is None
@@ -281,9 +281,9 @@ def test_a_fault_says_what_a_person_needs():
     gate.measured(ZERO, 1.0)
     gate.command(only(2, 0.6), 1.0)
     gate.tick(1.5)
-    assert gate.fault.detail == 'a coil is at 144% of what it bears'
+    assert gate.fault.detail == 'a coil is at 144% of its thermal limit'
     gate.measured(ZERO, 1.5)
-    assert gate.arm(1.5) == 'a coil is too hot: 144% of what it bears'
+    assert gate.arm(1.5) == 'a coil is at 144% of its thermal limit'
     gate = armed(limits)
     gate.measured(ZERO, 1.0)
     gate.command(only(2, 0.1), 1.0)
@@ -328,8 +328,8 @@ def test_a_clock_that_goes_wrong_trips(call, now):
     (ZERO, 0.25, None),
     (ZERO, math.nextafter(0.25, 1), 'no measured currents'),
     ((0.25, -0.25, 0.25, -0.25), 0.0, None),
-    (only(0, math.nextafter(0.25, 1)), 0.0, 'without a command'),
-    (only(1, -0.3), 0.0, 'without a command'),
+    (only(0, math.nextafter(0.25, 1)), 0.0, 'measured while zero is commanded'),
+    (only(1, -0.3), 0.0, 'measured while zero is commanded'),
     (only(3, math.inf), 0.0, 'no measured currents'),
 ])
 def test_arming_needs_a_fresh_measurement_of_no_current(measured, age, refusal):
@@ -474,7 +474,7 @@ def test_who_stays_away_is_told_for_how_long():
     gate = armed(PATIENT)
     gate.attend(1.0)
     gate.tick(5.25)
-    assert gate.fault.detail == 'no heartbeat of the operator for 4.2 s'
+    assert gate.fault.detail == 'no operator heartbeat for 4.2 s'
 
 
 def swinging(**limits):
@@ -508,7 +508,7 @@ def test_what_a_device_turns_is_no_faster_than_the_slew_limit(amplitude, rate, w
 def test_a_swing_that_is_too_fast_is_told_in_turns():
     gate = swinging()
     gate.swing(ZERO, only(3, 1.0), -6.0 * math.tau)
-    assert gate.fault.detail == 'a swing of ±(0, 0, 0, 1) A at 6 turns a second'
+    assert gate.fault.detail == '±(0, 0, 0, 1) A rotating at 6 Hz exceeds the step or slew limit'
 
 
 @pytest.mark.parametrize(('amplitude', 'rate'), [
@@ -553,8 +553,8 @@ def test_readings_that_come_late_are_no_fault_of_the_coils_but_of_the_line():
     assert gate.armed
     gate.command((1.0, -1.0, 0.5, 0.9), math.nextafter(0.28125, 1))
     assert tripped(gate, Reason.SILENCE)
-    assert gate.fault.detail.startswith('none of the present for 0.250 s: what is measured was '
-                                        'commanded more than 0.219 s ago')
+    assert gate.fault.detail.startswith('the readings of the last 0.250 s are of commands '
+                                        'older than 0.219 s')
 
 
 def test_one_present_reading_makes_up_for_late_ones():
@@ -672,7 +672,7 @@ def test_without_feedback_it_keeps_every_rule_but_those_of_measurement():
     assert gate.tick(math.nextafter(heated, 0) - 1e-9) == only(0, 2.0)
     assert gate.tick(heated + 1e-9) == ZERO
     assert tripped(gate, Reason.HEAT)
-    assert 'too hot' in gate.arm(heated + 1e-9)
+    assert 'thermal limit' in gate.arm(heated + 1e-9)
     for wanted, reason in ((only(1, math.nan), Reason.MALFORMED), (only(1, 2.5), Reason.LIMIT)):
         gate = Gate(LIMITS, feedback=False)
         assert gate.arm(0.0) is None

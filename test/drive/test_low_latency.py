@@ -104,10 +104,10 @@ def test_the_timer_is_found_by_any_name_of_the_port(adapters, tmp_path, text, fo
 
 
 @pytest.mark.parametrize(('manner', 'held', 'level', 'said'), [
-    ('keeps', '1', 'ok', 'answers are held back for 1 ms at most'),
-    ('refuses', '1', 'ok', 'answers are held back for 1 ms at most'),
-    ('refuses', '16', 'warn', 'for up to 16 ms, low latency was refused; see "Low latency"'),
-    ('keeps', '16', 'warn', 'for up to 16 ms, low latency was granted without effect'),
+    ('keeps', '1', 'ok', 'answers are delayed by at most 1 ms'),
+    ('refuses', '1', 'ok', 'answers are delayed by at most 1 ms'),
+    ('refuses', '16', 'warn', 'by up to 16 ms, low latency was refused; see "Low latency"'),
+    ('keeps', '16', 'warn', 'by up to 16 ms, low latency was granted without effect'),
     ('keeps', '', 'ok', 'low latency granted, and no latency timer'),
     ('refuses', '', 'ok', 'low latency refused, and no latency timer'),
 ])
@@ -124,13 +124,13 @@ def test_the_doctor_says_what_was_granted(monkeypatch, adapters, terminal, tmp_p
 def test_the_doctor_leaves_a_port_that_is_in_use_alone(terminal, tmp_path):
     port = Port(terminal, 115_200)
     found = doctor._latency(rig(tmp_path, terminal))
-    assert (found.level, found.detail) == ('ok', f'{terminal}: in use, not asked')
+    assert (found.level, found.detail) == ('ok', f'{terminal}: in use, not checked')
     port.close()
     assert 'refused' in doctor._latency(rig(tmp_path, terminal)).detail
     gone = doctor._latency(rig(tmp_path, f'/nowhere,{terminal}'))
     assert '/nowhere' in gone.detail
     assert f'{terminal}: low latency refused' in gone.detail
-    assert doctor._latency(rig(tmp_path, '')).detail == 'no port to ask'
+    assert doctor._latency(rig(tmp_path, '')).detail == 'no port configured'
 
 
 def rig(folder, port):

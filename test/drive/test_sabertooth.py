@@ -335,7 +335,7 @@ def test_it_is_watched_by_a_process_as_nothing_says_that_its_timeout_is_armed(tm
     try:
         assert driver.amplifier.watchdog is Watchdog.UNCONFIRMED
         assert driver._last_resort is not None
-        assert driver.warning.startswith('no currents are measured: a coil that is open')
+        assert driver.warning.startswith('the amplifier measures no currents: an open')
     finally:
         driver.stop()
         served.end()
@@ -347,15 +347,15 @@ def test_it_is_watched_by_a_process_as_nothing_says_that_its_timeout_is_armed(tm
     ({'accept_no_feedback': True}, 'self_check'),
     ({'accept_no_feedback': True, 'accept_no_watchdog': True}, 'self_check')])
 def test_driving_blind_has_to_be_accepted(given, culprit):
-    with pytest.raises(InputError, match='reads no currents back') as refusal:
+    with pytest.raises(InputError, match='measures no currents') as refusal:
         CoilDriver(SabertoothAmplifier('line', FULL_SCALE_A), LIMITS, print, **given)
     assert refusal.value.source == culprit
 
 
 @pytest.mark.parametrize(('parameters', 'level', 'said'), [
-    ('', 'fail', 'it is not driven unless coil_driver.accept_no_feedback says'),
-    (', accept_no_watchdog: true', 'fail', 'it is not driven unless'),
-    (', accept_no_feedback: true', 'warn', 'which is accepted: a coil that is open'),
+    ('', 'fail', 'it is driven only with coil_driver.accept_no_feedback: true'),
+    (', accept_no_watchdog: true', 'fail', 'it is driven only with'),
+    (', accept_no_feedback: true', 'warn', '; accepted'),
 ])
 def test_the_doctor_says_what_it_means(monkeypatch, tmp_path, parameters, level, said):
     monkeypatch.setattr('microbot_ros.drive.amplifier.amplifier_class',
@@ -364,5 +364,5 @@ def test_the_doctor_says_what_it_means(monkeypatch, tmp_path, parameters, level,
     rig.write_text(f'coil_driver: {{ros__parameters: {{amplifier: sabertooth{parameters}}}}}\n')
     found = doctor._watchdog(rig)
     assert found.level == level
-    assert found.detail.startswith('sabertooth reads no currents back')
+    assert found.detail.startswith('sabertooth measures no currents: an open')
     assert said in found.detail

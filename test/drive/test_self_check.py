@@ -53,9 +53,10 @@ def test_coils_that_are_right_pass_one_after_the_other(shares):
 
 @pytest.mark.parametrize('coil', range(4))
 @pytest.mark.parametrize(('share', 'sentence'), [
-    (0.0, 'is open'), (-1.0, 'is reversed'), (-0.6, 'is reversed'), (0.5, 'has a gain of 0.5'),
-    (0.66, 'has a gain of 0.66'), (1.34, 'has a gain of 1.3'), (2.0, 'has a gain of 2'),
-    (math.nan, 'has a gain of nan'), (math.inf, 'has a gain of inf'),
+    (0.0, 'is open'), (-1.0, 'is reversed'), (-0.6, 'is reversed'),
+    (0.5, 'has the wrong gain, 0.5'), (0.66, 'has the wrong gain, 0.66'),
+    (1.34, 'has the wrong gain, 1.3'), (2.0, 'has the wrong gain, 2'),
+    (math.nan, 'has the wrong gain, nan'), (math.inf, 'has the wrong gain, inf'),
 ])
 def test_the_coil_that_is_wrong_is_named(coil, share, sentence):
     shares = [1.0] * 4
@@ -92,7 +93,8 @@ def test_a_reading_agrees_to_within_the_deviation(currents):
 
 @pytest.mark.parametrize(('first', 'sentence'), [
     (-0.25, 'is open'), (0.0, 'is open'), (0.25, 'is open'),
-    (next_to(0.25, ABOVE), 'has a gain of 0.33'), (next_to(0.5, BELOW), 'has a gain of 0.67')])
+    (next_to(0.25, ABOVE), 'has the wrong gain, 0.33'),
+    (next_to(0.5, BELOW), 'has the wrong gain, 0.67')])
 def test_a_reading_on_the_way_is_waited_for_as_long_as_settling_takes(first, sentence):
     check = pulsed()
     check.measured([first, 0.25, -0.25, 0], next_to(1.5, BELOW))
@@ -103,7 +105,7 @@ def test_a_reading_on_the_way_is_waited_for_as_long_as_settling_takes(first, sen
 
 @pytest.mark.parametrize(('currents', 'sentence'), [
     ([next_to(-0.25, BELOW), 0, 0, 0], 'is reversed'),
-    ([next_to(1.0, ABOVE), 0, 0, 0], 'has a gain of 1.3'),
+    ([next_to(1.0, ABOVE), 0, 0, 0], 'has the wrong gain, 1.3'),
     ([0.75, next_to(0.25, ABOVE), 0, 0], 'drives coil_plus_x'),
     ([0.0, 0, 0, next_to(-0.25, BELOW)], 'drives coil_minus_x'),
     ([0.75, 0, 0.3, -0.3], 'drives coil_minus_y and coil_minus_x')])
@@ -150,7 +152,7 @@ def test_current_that_flows_on_is_no_watchdog(currents):
     check.measured(currents, next_to(1.5, BELOW))
     assert check.complaint == ''
     check.measured(currents, 1.5)
-    assert check.complaint.startswith('the amplifier has no watchdog: without a command for 0.5 s')
+    assert check.complaint.startswith('the amplifier has no watchdog: current still flowed 0.5 s')
     assert not check.done
 
 
@@ -169,7 +171,7 @@ def test_a_coil_may_take_its_time_but_not_more():
         return respond
     assert run(rising(0.1))[0].done
     slow, _ = run(rising(2.0))
-    assert 'coil_plus_y has a gain' in slow.complaint or 'is open' in slow.complaint
+    assert 'coil_plus_y has the wrong gain' in slow.complaint or 'is open' in slow.complaint
 
 
 def test_a_pulse_that_is_repeated_has_its_whole_time_again():

@@ -201,8 +201,10 @@ def test_the_bytes_of_a_session_and_no_others():
 
 
 @pytest.mark.parametrize(('fifth', 'sixth', 'fault'), [
-    (0.199, -0.199, ''), (0.201, 0.0, 'coil 5 carries 0.2 A'), (0.0, -2.0, 'coil 6 carries -2 A'),
-    (3.0, 3.0, 'coil 5 carries 3 A, and was never told to; coil 6 carries 3 A'),
+    (0.199, -0.199, ''), (0.201, 0.0, 'spare channel 5 carries 0.2 A'),
+    (0.0, -2.0, 'spare channel 6 carries -2 A'),
+    (3.0, 3.0, 'spare channel 5 carries 3 A; no coil is configured on it; '
+               'spare channel 6 carries 3 A'),
 ])
 def test_coils_that_are_never_driven_must_carry_nothing(fifth, sixth, fault):
     amplifier = SerialTransferAmplifier('nowhere', FULL_SCALE)

@@ -92,12 +92,12 @@ def test_where_the_floor_is_stated_force_and_diffusion_are_those_above_it(height
 @pytest.mark.parametrize(('conditions', 'said'), [
     # ten times the drag: nearer than surfaces come
     (Conditions(radius=4.6e-7, viscosity=1.245e-3),
-     'far from walls: radius or viscosity are off'),
-    (Conditions(radius=9.2e-6, viscosity=1.245e-3), 'Otherwise radius or viscosity are off'),
+     'far from walls: radius or viscosity are wrong'),
+    (Conditions(radius=9.2e-6, viscosity=1.245e-3), 'Otherwise radius or viscosity are wrong'),
     (Conditions(radius=4.6e-6, viscosity=1.245e-3, height=4.7e-6),
-     'Otherwise height, radius or viscosity are off'),
+     'Otherwise height, radius or viscosity are wrong'),
     (Conditions(radius=4.6e-6, viscosity=1.245e-3, height=4.7e-6),
-     '4.7 µm above a floor: something moves the particles that this model lacks'),
+     '4.7 µm above a floor: the model lacks an effect that moves the particles'),
 ])
 def test_a_floor_is_not_blamed_for_what_it_does_not_do(conditions, said):
     session, _ = experiment(0)
@@ -184,7 +184,7 @@ def test_the_rolling_robot():
     mean = (weight * np.array([one.gain for one in fast])).sum() / weight.sum()
     assert abs(mean) * 1e6 == pytest.approx(3.0, abs=0.1)
     assert np.degrees(result.polar.phi[0]) == pytest.approx(-14, abs=1)
-    assert any('φ and delay cannot be told apart' in text for text in result.warnings)
+    assert any('φ and delay cannot be distinguished' in text for text in result.warnings)
     assert any('gain is not constant in frequency' in text for text in result.warnings)
     assert np.isnan(result.force).all()
     assert 'gain_um_s_hz' in report.as_json(result)['particles']['0']

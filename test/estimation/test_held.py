@@ -59,7 +59,7 @@ def test_what_a_wall_holds_has_no_speed_and_says_why(seed):
     told = swim(20.0, pressing, wall=1e-6, seed=seed)
     assert 0 < held(told)[0] < 12
     assert all(np.isnan(speed) for t, speed, _ in told if t > held(told)[0] + 0.1)
-    assert 'particle 7: held by a wall or the edge of the picture' in told[-1][2][0]
+    assert 'particle 7: held by a wall or the edge of the image' in told[-1][2][0]
 
 
 @pytest.mark.parametrize('seed', SEEDS)

@@ -196,7 +196,7 @@ def test_the_search_ends_at_the_maximum(sigma):
 
 
 @pytest.mark.parametrize(('diffusion', 'said'), [
-    (28e-12, '28 µm²/s, and that of a sphere of 0.1 µm in water 2.5: it is not thermal'),
+    (28e-12, '28 µm²/s, that of a sphere of 0.1 µm in water is 2.5: it is not thermal'),
     (2.4e-12, ''), (np.nan, ''), (np.inf, ''), (0.0, '')])
 def test_diffusion_beyond_that_of_any_sphere_is_told_where_no_radius_is_stated(diffusion, said):
     told = implausible_diffusion(Conditions(), Noise(diffusion, 1e-7, 0.0, 1e-15))

@@ -121,7 +121,7 @@ def test_what_one_way_turning_confounds_is_said():
     session, _ = record_session(World(swarm, rng), commands, Camera(20.0, 0.0, 1e-7), 12.0, rng,
                          CONDITIONS)
     said = {text for found in replay(session) for text in found.diagnosis}
-    assert any(text.startswith('φ and delay cannot be told apart') for text in said)
+    assert any(text.startswith('φ and delay cannot be distinguished') for text in said)
 
 
 def test_under_one_constant_command_drift_hides():
@@ -132,8 +132,8 @@ def test_under_one_constant_command_drift_hides():
                          CONDITIONS)
     last = replay(session)[-1]
     for name in ('speed', 'φ'):
-        assert any(
-            text.startswith(f'{name} and drift cannot be told apart') for text in last.diagnosis)
+        assert any(text.startswith(f'{name} and drift cannot be distinguished')
+                   for text in last.diagnosis)
 
 
 @pytest.mark.parametrize(('hidden', 'effect'), [
@@ -234,7 +234,7 @@ def test_two_tracks_of_one_particle_are_named():
         positions[:, 2] = positions[:, 1] + 0.05e-6 * rng.normal(size=positions[:, 1].shape)
 
     _, said = spoiled(double)
-    assert 'particles 1 and 2 are at the same place: two tracks of one particle?' in said
+    assert 'particles 1 and 2 have the same position: two tracks of one particle?' in said
 
 
 def test_what_is_not_a_number_is_named_and_left_out():
@@ -242,7 +242,7 @@ def test_what_is_not_a_number_is_named_and_left_out():
         positions[times > 10, 0] = np.nan
 
     found, said = spoiled(spoil)
-    assert 'particle 0 was reported at a place that is not a number' in said
+    assert 'particle 0 was reported at a position that is not a number' in said
     assert list(found.seen) == [False, True, True]
 
 
@@ -251,7 +251,7 @@ def test_the_model_node_is_told_when_the_model_stops_explaining():
         positions[..., 0] += 2e-6 * np.maximum(times - 10, 0)[:, None]
 
     _, said = spoiled(drift, 16.0)
-    assert any('carried along' in text and 'microbot discover' in text for text in said)
+    assert any('all particles drift' in text and 'microbot discover' in text for text in said)
 
 
 @pytest.mark.parametrize(('offset', 'side'), [(1e4, 'after'), (-1e9, 'before')])
@@ -260,7 +260,7 @@ def test_commands_from_another_clock_are_noticed(offset, side):
     estimator.command(offset, [FIELD, 0])
     for k in range(10):
         found = estimator.update(1.0 + k, [0], [[0, 0]])
-    assert any(f'{side} the frames: another clock?' in text for text in found.diagnosis)
+    assert any(f'{side} the frames: different clocks?' in text for text in found.diagnosis)
 
 
 def test_frames_and_commands_out_of_order_are_ignored_and_said():
@@ -347,5 +347,5 @@ def test_fields_and_turns_beyond_all_coils_are_ignored_and_said():
     for field, frequency in (([1e300, 0], None), ([FIELD, 0], 1e300), ([0, -1e4], 1.0)):
         estimator.command(-1.0, field, frequency)
     estimates = replay(session, estimator)
-    assert any('beyond all coils' in text for text in estimates[0].diagnosis)
+    assert any('exceeds any coils' in text for text in estimates[0].diagnosis)
     np.testing.assert_allclose(estimates[-1].speed, np.abs(gain), rtol=0.12)

@@ -121,7 +121,7 @@ def test_an_action_that_is_no_number_is_no_field(value, place):
     shown, reward, *_, info = env.step(action)
     assert shown[:2].tolist() == [0, 0]
     assert math.isfinite(reward)
-    assert 'the policy answered' in info['reason']
+    assert 'the policy returned' in info['reason']
     shown, *_, info = env.step(np.array([0.0, 1.0]))
     assert shown[1] == pytest.approx(1)
     assert info['reason'] == ''

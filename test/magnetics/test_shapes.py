@@ -213,7 +213,7 @@ def test_maps_with_holes_and_maps_that_do_not_cover_the_workspace(
 @pytest.mark.parametrize(('arrays', 'complaint'), [
     ({'field_mT_per_A': np.zeros((3, 2, 2, 3))}, r'an array of \(2, 2, 2, 3\), got one of \(3, 2'),
     ({'field_mT_per_A': np.full((2, 2, 2, 3), np.nan)}, 'expected a finite field'),
-    ({'x_mm': np.array([1.0, -1.0])}, 'expected two or more places along x, rising'),
+    ({'x_mm': np.array([1.0, -1.0])}, 'expected two or more places along x, ascending'),
     ({'z_mm': np.array([0.0, np.inf])}, 'expected two or more places along z'),
     ({'y_mm': np.zeros((2, 1))}, 'expected one dimension'),
     ({'y_mm': np.array(['a', 'b'])}, 'expected an NPZ file with x_mm'),
@@ -262,7 +262,7 @@ def test_beyond_a_saturation_nothing_is_known():
     [], [(0.0, 0.0)], [(1, 1), (1, 2)], [(1, 1), (2, 1)], [(2, 1), (1, 2)], [(-1, 1)],
     [(1, np.nan)], [(np.inf, 1)]])
 def test_saturations_that_do_not_rise(points):
-    with pytest.raises(InputError, match='that rise from 0'):
+    with pytest.raises(InputError, match='ascending from 0'):
         Saturation(points)
 
 
@@ -302,8 +302,8 @@ def test_a_core_that_saturates_is_driven_harder_up_to_its_limit_in_amperes():
     ({'field_map': 'a.csv'}, r'a\.csv: expected a readable CSV file'),
     ({'source': 'none_such'}, "received 'none_such'"),
     ({'vertices_mm': [[0, 9, 0], [0, 0, 9], [0, 0, 0]], 'closed': False, 'turns': 1},
-     'expected a path that ends where it began: no current is open'),
-    ({'radius_mm': 9, 'axis': [1, 0, 0], 'turns': 9, 'closed': False}, 'path that ends where'),
+     'expected a closed path: its end must be its start'),
+    ({'radius_mm': 9, 'axis': [1, 0, 0], 'turns': 9, 'closed': False}, 'closed path'),
     ({'radius_mm': 20, 'axis': [0, 0, 1], 'turns': 9, 'position_mm': [0, 20.5, 0]},
      r"'coil_plus_x' has its wire 0\.5 mm from the workspace centre; expected more than "
      r'workspace_mm, 1 mm'),
@@ -312,7 +312,7 @@ def test_a_core_that_saturates_is_driven_harder_up_to_its_limit_in_amperes():
     ({'radius_mm': 20, 'axis': [1, 0, 0], 'turns': 9, 'saturation': [[1, 1], [1.9, 1.5]]},
      'expected a saturation up to max_current_A'),
     ({'radius_mm': 20, 'axis': [1, 0, 0], 'turns': 9, 'saturation': [[1, 1], [2, 0.5]]},
-     'that rise from 0'),
+     'ascending from 0'),
 ])
 def test_coils_that_cannot_be_are_named_with_their_line(change, complaint, tmp_path):
     path = tmp_path / 'coils.yaml'

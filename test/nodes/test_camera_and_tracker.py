@@ -76,7 +76,7 @@ def test_what_is_pointed_at_is_followed_and_its_name_reaches_who_comes_later(
         graph.until(lambda: len(taught) > before)
         return taught[-1]
     for frame_id, x, y, reason in (
-            ('camera_pixels', 5.0, 5.0, 'nothing stands out'),
+            ('camera_pixels', 5.0, 5.0, 'nothing is visible'),
             ('camera', 1.0, 1.0, 'expected the frame'),
             ('camera_pixels', math.nan, 5.0, 'expected finite coordinates'),
             ('workspace', math.inf, 0.0, 'expected finite coordinates')):
@@ -179,7 +179,7 @@ def test_pictures_that_cannot_be_read_are_left_out_and_said(ros: Any, folder: Pa
 
 
 @pytest.mark.parametrize(('source', 'expected'), [
-    ('', 'expected a parameter source'),
+    ('', 'expected the parameter source'),
     ('/nowhere/film.mp4', '/nowhere/film.mp4'),
     ('/dev/video99', '/dev/video99'),
     ('EMPTY', 'no frame'),

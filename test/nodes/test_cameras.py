@@ -49,7 +49,7 @@ class Bench(CameraDriver):
 
     def read(self, timeout: float) -> CameraFrame | None:
         if Bench.gone:
-            raise InputError('bench', 'stopped giving frames')
+            raise InputError('bench', 'stopped delivering frames')
         Bench.news.wait(timeout)
         Bench.news.clear()
         return Bench.frames.popleft() if Bench.frames else None
@@ -111,7 +111,7 @@ def test_lost_and_repeated_frames_are_counted_and_said(bench: Any) -> None:
     level, sentence, values = bench.camera.health()
     assert (values['frames_published'], values['frames_lost'], values['frames_repeated']) == (
         4, 3, 1)
-    assert (level, sentence) == (WARN, '3 frames were lost on their way since the last report')
+    assert (level, sentence) == (WARN, '3 frames lost since the last report')
     assert bench.camera.health()[0] == OK
 
 
@@ -130,7 +130,7 @@ def test_a_camera_that_vanishes_is_said_until_it_is_back(bench: Any) -> None:
     Bench.gone = True
     bench.until(lambda: bench.camera.health()[0] == ERROR)
     bench.until(lambda: bench.camera.health()[1]
-                == 'bench: is not there; trying the same device again')
+                == 'bench: is not there; reopening the same device')
     Bench.gone = False
     bench.until(lambda: Bench.opened == 2)
     give(bench, 1)
@@ -188,8 +188,8 @@ def test_frames_that_no_file_has_are_lost_too(ros: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(('parameters', 'said'), [
     ({'camera': 'polaroid', 'source': 'x'}, 'expected one of aravis, file'),
-    ({'source': 'TMP', 'gain': 3.0}, 'has no gain to set'),
-    ({'source': '/dev/video99', 'exposure_ms': 3.0}, 'expected a camera that gives frames'),
+    ({'source': 'TMP', 'gain': 3.0}, 'gain cannot be set'),
+    ({'source': '/dev/video99', 'exposure_ms': 3.0}, 'expected a camera that delivers frames'),
 ])
 def test_what_cannot_be_is_said_at_the_start(
         ros: Any, tmp_path: Path, parameters: dict[str, Any], said: str) -> None:

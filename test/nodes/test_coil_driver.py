@@ -119,7 +119,7 @@ def test_a_field_that_is_no_number_latches_zero(
     graph.until(lambda: emulator.zero)
     level, sentence, _ = driver.health()
     assert level == b'\x02'
-    assert 'not a finite number for each coil' in sentence
+    assert 'currents are not finite numbers, one per coil' in sentence
     _command(graph, 3e-3, 0.0)  # and stays latched
     sent = driver._driver.amplifier.counters
     begin = sent.frames_sent
@@ -138,7 +138,7 @@ def test_silence_and_stale_stamps_end_in_zero(emulator: Any, ros: Any, age: floa
         return bool(emulator.zero)
     graph.until(no_command_of_now)
     assert graph.nodes['coil_driver']._refused > 0
-    assert 'not driven' in graph.nodes['coil_driver']._complaint
+    assert 'command ignored' in graph.nodes['coil_driver']._complaint
 
 
 @pytest.mark.parametrize('leave', ['deactivate', 'shutdown', 'exception'])
@@ -246,7 +246,7 @@ def test_a_second_commander_trips_and_both_are_named(emulator: Any, ros: Any) ->
     try:
         other.create_publisher(Vector3Stamped, '/field/command', 10)
         graph.until(lambda: emulator.zero and not graph.nodes['coil_driver']._driver.gate.armed)
-        assert _fault(graph).startswith('another commander: 2 publish commands: ')
+        assert _fault(graph).startswith('second commander: 2 nodes publish commands: ')
         answer = _arm(graph)
         assert not answer.success
         assert '/elsewhere/intruder and /probe' in answer.message
@@ -266,7 +266,7 @@ def test_a_commander_that_is_back_needs_a_new_arm(emulator: Any, ros: Any) -> No
     graph.commands = graph.probe.create_publisher(Vector3Stamped, 'field/command', 10)
     graph.until(lambda: _command(graph, 3e-3, 0.0) or not driver._driver.gate.armed)
     assert len(emulator.entries()) == begin
-    assert _fault(graph) == ('another commander: /probe is new, or back, and needs a new arm')
+    assert _fault(graph) == ('second commander: /probe is new or was restarted; arm again')
     _driving(graph, emulator)
 
 
@@ -341,7 +341,7 @@ def test_disarming_answers_what_is_known_of_the_currents(emulator: Any, ros: Any
     graph.until(lambda: not graph.nodes['coil_driver']._driver.connected)
     answer = _arm(graph, on=False)
     assert not answer.success
-    assert answer.message == (f'not reachable: {emulator.url}; coils there may carry current, '
+    assert answer.message == (f'not reachable: {emulator.url}; these coils may carry current, '
                               'switch the amplifier off by hand')
     assert health()[0] == b'\x02'
     assert answer.message in health()[1]
@@ -390,7 +390,7 @@ def test_what_was_commanded_before_arming_moves_nothing(emulator: Any, ros: Any)
     graph.until(lambda: _command(graph, 3e-3, 0.0) or received.frames_received > heard + 10)
     assert len(emulator.entries()) == begin
     assert driver.health()[:2] == (b'\x01', (
-        'armed, waiting for a command of zero: centre the stick, or end what drives and send the '
+        'armed; waiting for a zero command: centre the stick, or stop the sender and send the '
         'goal again'))
     graph.until(lambda: _command(graph, 0.0, 0.0) or not driver._driver.gate.holding)
     graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
@@ -406,7 +406,7 @@ def test_an_operator_whose_heartbeats_end_disarms(
     graph.until(lambda: beats.publish(Empty()) or driver._driver.gate._attended_s > 0)
     graph.until(lambda: _command(graph, 3e-3, 0.0) or not driver._driver.gate.armed)
     graph.until(lambda: emulator.zero)
-    assert _fault(graph).startswith('nobody attends: no heartbeat of the operator')
+    assert _fault(graph).startswith('operator heartbeat lost: no operator heartbeat')
 
 
 def test_a_hot_coil_is_hot_after_a_restart(emulator: Any, ros: Any) -> None:
@@ -432,18 +432,19 @@ def test_the_end_says_where_no_zero_is_confirmed(
         patched.setattr(driver, 'get_logger', lambda: SimpleNamespace(
             warning=lambda sentence, **_: warned.append(sentence)))
         driver.teardown()
-    said = [sentence for sentence in warned if sentence.startswith('the coils at the end')]
+    said = [sentence for sentence in warned if sentence.startswith('coils at shutdown')]
     assert ['not reachable' in sentence for sentence in said] == [True] * lost
 
 
 @pytest.mark.parametrize(('parameters', 'expected'), [
-    ({}, 'expected a parameter port'),
+    ({}, 'expected the parameter port'),
     ({'port': 'x', 'deviation_A': 1.0}, 'self-check'),
     ({'port': '/nowhere/tty'}, '/nowhere/tty'),
     ({'port': 'x', 'current_limit_A': 1.0}, 'current_limit_A: expected at least 1.166 A, which a '
      'field of 5 mT needs with these coils; received 1 A'),
     ({'port': 'x', 'step_limit_A': 2.0}, 'step_limit_A: expected at least 2.332 A'),
-    ({'port': 'x', 'amplifier': 'modbus'}, 'accept_no_watchdog: the amplifier has no watchdog'),
+    ({'port': 'x', 'amplifier': 'modbus'},
+     'accept_no_watchdog: the amplifier has no reliable watchdog'),
     ({'port': 'x', 'amplifier': 'steam'}, "received 'steam'"),
     ({'port': 'x', 'coils_file': '/nowhere/coils.yaml'}, '/nowhere/coils.yaml'),
 ])

@@ -61,7 +61,7 @@ def test_who_asks_for_no_measurement_gets_an_amplifier_without(tmp_path: Path) -
      2, 'model: field_source is applied, expected command: sabertooth measures no currents'),
     ('tracker:\n  ros__parameters:\n    field_source: applied\ncoil_driver:\n'
      '  ros__parameters: {amplifier: sabertooth}\n', 3, 'tracker: field_source is applied'),
-    ('- tracker\n', 1, 'expected keys and values'),
+    ('- tracker\n', 1, 'expected a mapping (key: value)'),
     ('tracker: [\n', 2, 'expected YAML'),
 ])
 def test_what_is_wrong_is_said_where_it_stands(

@@ -161,7 +161,7 @@ def test_goals_of_particles_and_what_becomes_of_them(ros: Any) -> None:
         sent.publish(messages.cloud(goal, messages.to_stamp(7.5)))
 
     go(4, 50e-6)
-    assert answer(lambda said: 'particle 4 is not seen' in said)['result'] == 'particle lost'
+    assert answer(lambda said: 'particle 4 is not tracked' in said)['result'] == 'particle lost'
     go(0, 5e-3)
     assert answer(lambda said: 'outside the workspace' in said)['result'] == 'bad goal'
     go(0, 1e-6)
@@ -193,7 +193,7 @@ def test_paths_that_are_none_and_the_border(ros: Any) -> None:
         loop.graph.until(lambda: loop.see() or (loop.fields and said in loop.node.health()[1]))
         assert loop.strength() == 0
 
-    follow([], 'waits for a path')
+    follow([], 'waiting for a path')
     follow([(0.0, 0.0)], 'two different points')
     follow([(0.0, 0.0), (math.nan, 0.0)], 'the path leaves the workspace')
     assert loop.set(controller='open_loop').successful
@@ -443,8 +443,8 @@ def test_a_joystick_that_dies_while_deflected_counts_as_centred(
             assert math.hypot(field.vector.x, field.vector.y) == pytest.approx(
                 5e-3 if age <= 0.25 else 0.0)
     _, sentence, _ = loop.node.health()
-    assert re.search(r'the joystick has been silent for \d\.\d\d s: counted as centred', sentence)
-    assert 'the joystick has been silent' in loop.node._complaint
+    assert re.search(r'the joystick sent no message for \d\.\d\d s: treated as centred', sentence)
+    assert 'the joystick sent no message' in loop.node._complaint
     loop.graph.until(lambda: (stick.push(-1.0, 0.0), loop.see(),
                               loop.fields[-1].vector.x < -4.9e-3)[-1])
     assert 'joystick' not in loop.node.health()[1]
@@ -459,7 +459,7 @@ def test_a_joystick_that_says_no_number_counts_as_centred(
     loop.graph.until(lambda: (stick.push(1.0, 1.0), loop.see(),
                               loop.fields and loop.strength() > 4.9e-3)[-1])
     stick.push(*axes)
-    loop.graph.until(lambda: 'counted as centred' in loop.node._complaint)
+    loop.graph.until(lambda: 'treated as centred' in loop.node._complaint)
     last = loop.node.seconds()
     loop.graph.until(lambda: loop.keep_seeing() or messages.to_seconds(
         loop.fields[-1].header.stamp) > last + 0.04)

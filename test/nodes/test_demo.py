@@ -247,5 +247,5 @@ def test_the_status_says_whether_every_place_was_reached(
     assert tell_shortcomings(
         faults, {'goals': 3, 'goals_reached': reached, 'goal_error_um': 22.0}, 0.0) == status
     said = capsys.readouterr().err
-    assert ('1 of 3 places not reached' in said) == (reached == 2)
-    assert ('the loop was cut: silent' in said) == bool(faults)
+    assert ('1 of 3 goals not reached' in said) == (reached == 2)
+    assert ('the loop was interrupted: silent' in said) == bool(faults)

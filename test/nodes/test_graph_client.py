@@ -40,12 +40,12 @@ def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
         return len(goals.path) > 0
     for count in range(1, 6):
         assert graph.microbot('goal', *['10,10'] * count) == (
-            0, f"{count} goal{'s' * (count > 1)} taken by controller 'waypoint'\n", '')
+            0, f"{count} goal{'s' * (count > 1)} accepted by controller 'waypoint'\n", '')
         # They are there when the command ends, and not some time later.
         assert len(goals.goals) == count
     graph.microbot('set', 'controller', 'controller', 'path_following')
     assert graph.microbot('goal', '--path', '0,0', '10,0') == (
-        0, "path of 2 points taken by controller 'path_following'\n", '')
+        0, "path of 2 points accepted by controller 'path_following'\n", '')
     assert len(goals.goals) == 5
     assert has_path()
     graph.microbot('set', 'controller', 'controller', 'manual')
@@ -53,7 +53,8 @@ def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
                              (('--path', '0,0', '9,9'), 'path', 'path_following')):
         status, out, error = graph.microbot('goal', *words)
         assert (status, out) == (1, '')
-        assert error.startswith(f'microbot: controller: manual takes no {what}; these do: ')
+        assert error.startswith(f'microbot: controller: manual takes no {what}; controllers that '
+                                'do: ')
         assert who in error
         assert len(goals.goals) == 5
         assert has_path()
@@ -107,14 +108,14 @@ def test_each_command_speaks_to_the_rig_of_its_namespace(
     there, folder = ('--namespace', 'rig_2'), str(tmp_path / 'run')
     assert graph.microbot('set', 'controller', 'controller', 'waypoint', *there)[0] == 0
     status, out, error = graph.microbot('goal', '1,1', *there)
-    assert (status, out) == (0, "1 goal taken by controller 'waypoint'\n")
+    assert (status, out) == (0, "1 goal accepted by controller 'waypoint'\n")
     assert error.startswith('coil_driver: disarmed')
     assert graph.microbot('record', '--folder', folder, *there) == (
         0, f'recording to {folder}\n', '')
     assert graph.microbot('arm', *there)[0] == 0
     assert graph.nodes['rig_2/coil_driver']._driver.gate.armed
     assert graph.microbot('goal', '1,1', *there)[:2] == (
-        0, "1 goal taken by controller 'waypoint'\n")
+        0, "1 goal accepted by controller 'waypoint'\n")
     with graph.spinning(), GraphClient(namespace='rig_2') as client:
         heard: dict[str, str] = {}
         client.watch_health(lambda node, _, sentence, __: heard.setdefault(node, sentence))
@@ -151,8 +152,8 @@ def test_a_controller_that_does_not_answer_is_one_and_the_reason(
     graph = ros({'controller': {'controller': 'waypoint'}})
     graph.add('controller').trigger_deactivate()
     assert graph.microbot('goal', '1,1', '--wait', '60') == (
-        1, '', 'microbot: controller did not take the goals within 1 s: it says nothing; is it '
-        'active?\n')
+        1, '', 'microbot: controller did not accept the goals within 1 s: it publishes nothing; '
+               'is it active?\n')
     assert len(graph.nodes['controller'].stage.goals) == 0
 
 
@@ -219,9 +220,9 @@ def test_arming_that_was_given_up_does_not_come_true_later(
     graph, driver = _driver_and_commander(ros, emulator)
     asked = _requests(driver)
     assert command('arm') == (
-        1, '', 'microbot: coil_driver did not answer within 1 s; asked to disarm: not reachable: '
-        'coil_driver did not answer within 1 s; coils may carry current, switch the amplifier off '
-        'by hand\n')
+        1, '', 'microbot: coil_driver did not answer within 1 s; disarm requested; no answer: not '
+               'reachable: coil_driver did not answer within 1 s; coils may carry current, switch '
+               'the amplifier off by hand\n')
     graph.until(lambda: False in asked)
     graph.until(lambda: driver._driver.zero is Zero.CONFIRMED)
     assert asked.count(True) <= 1

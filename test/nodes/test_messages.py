@@ -107,7 +107,7 @@ def test_colour_is_weighed_as_the_eye_does_or_as_was_learned(
 
 
 def test_a_grey_picture_has_no_colours_to_tell_by() -> None:
-    with pytest.raises(messages.MessageError, match='expected colours'):
+    with pytest.raises(messages.MessageError, match='expected colour images'):
         messages.gray(messages.image(np.zeros((4, 6), np.uint8), STAMP), (1.0, 0.0, 0.0))
 
 

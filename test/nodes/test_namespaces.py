@@ -44,8 +44,8 @@ def test_a_file_that_a_namespace_would_ignore_is_refused(tmp_path: Path) -> None
     file = write_rig(tmp_path / 'rig.yaml', {'coil_driver': {'current_limit_A': 0.1}})
     for refusing in (lambda: read_rig(file, '/rig_2'),
                      lambda: refuse_elsewhere(file, 'coil_driver', '/rig_2')):
-        with pytest.raises(InputError, match=r"rig.yaml:1: 'coil_driver' is no node of the "
-                                             r"namespace /rig_2; '/\*\*/coil_driver' would be"):
+        with pytest.raises(InputError, match=r"rig.yaml:1: 'coil_driver' is not a node of the "
+                                             r"namespace /rig_2; '/\*\*/coil_driver' would fit"):
             refusing()
     refuse_elsewhere(file, 'coil_driver', '/')
     refuse_elsewhere(file, 'camera', '/rig_2')

@@ -126,6 +126,6 @@ def test_a_page_that_cannot_be_served_is_one_line() -> None:
     for host in ('NONSENSE', 'x' * 9000):
         status, out, error = command('cockpit', '--host', host)
         line, = (one for one in error.splitlines() if one.startswith('microbot: '))
-        assert line.startswith('microbot: cockpit: host: expected a name or an address')
+        assert line.startswith('microbot: cockpit: host: expected a host name or address')
         assert 'x' * 81 not in line
         assert (status, out) == (2, '')

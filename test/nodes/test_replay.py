@@ -81,7 +81,7 @@ def test_todays_nodes_answer_as_they_did(
     status, out, error = replay(
         recording, '--check', '--tolerance', ROUNDING, '--json', tmp_path / 'a.json')
     assert status == 0, out + error
-    assert 'every answer is the same' in out
+    assert 'all outputs are equal' in out
     found = json.loads((tmp_path / 'a.json').read_text())
     assert found['same'] is True
     assert {topic['topic'] for topic in found['topics']} == topics
@@ -102,7 +102,7 @@ def test_frames_that_were_let_pass_when_recorded_are_left_out_and_counted(tmp_pa
         shorter, '--check', '--node', 'model', '--end', 9, '--tolerance', ROUNDING)
     assert status == 0, out + error
     assert '/model/state: left out 7 of' in error
-    assert 'every answer is the same' in out
+    assert 'all outputs are equal' in out
 
 
 def test_what_they_answered_was_more_than_nothing() -> None:
@@ -150,7 +150,7 @@ def test_what_a_change_does_is_shown_at_the_first_point(tmp_path: Path) -> None:
     (['FOLDER', '--check'], 'found a folder of CSV files'),
     ([STEERING, '--check', '--rate', '2'], 'expected only without --check'),
     ([STEERING, '--node', 'model'], 'expected only with --check'),
-    ([TRACKING, '--check', '--node', 'controller'], 'expected model/state to play to the con'),
+    ([TRACKING, '--check', '--node', 'controller'], 'expected model/state as input of the con'),
     ([STEERING, '--check', '--config', '/nowhere.yaml'], '/nowhere.yaml: expected'),
     ([STEERING, '--check', '--end', 'nan'], 'end_s must be finite; received nan'),
     ([STEERING, '--check', '--node', 'steam'], "'steam' is not one of"),
@@ -446,7 +446,7 @@ def test_what_was_not_recorded_is_named(steered: Path, tmp_path: Path) -> None:
     lacking = copied(steered, tmp_path / 'lacking', 0.0, 'goals')
     status, out, error = replay(lacking, '--check', '--node', 'controller')
     assert status == 0, out + error
-    assert 'cannot be judged: what the controller took from goals was not rec' in out
+    assert 'cannot be compared: what the controller received on goals was not rec' in out
 
 
 @pytest.fixture

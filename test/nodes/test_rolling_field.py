@@ -153,7 +153,7 @@ def test_a_command_by_another_node_ends_the_permission(
     other = graph.nodes['coil_driver'].create_publisher(kind, topic, 10)
     driver = graph.nodes['coil_driver']._driver
     graph.until(lambda: driver.gate.fault)
-    assert '2 publish commands: ' in driver.gate.fault.detail
+    assert '2 nodes publish commands: ' in driver.gate.fault.detail
     graph.until(lambda: emulator.zero)
     graph.nodes['coil_driver'].destroy_publisher(other)
 

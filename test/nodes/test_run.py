@@ -209,12 +209,12 @@ def test_what_a_rig_recorded_is_answered_the_same(
         [sys.executable, '-m', 'microbot_ros.cli', 'replay', '--check',
          str(tmp_path / 'recording')], capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert 'every answer is the same' in done.stdout
+    assert 'all outputs are equal' in done.stdout
 
 
 UNFIT: dict[str, tuple[str, str]] = {
     'host': ('cockpit:\n  ros__parameters:\n    host: NONSENSE\n',
-             '5: cockpit: host: expected a name or an address of this machine'),
+             '5: cockpit: host: expected a host name or address of this machine'),
     'port': ('coil_driver:\n  ros__parameters:\n    port: /dev/nowhere\n',
              '5: coil_driver: port: /dev/nowhere: expected a serial port'),
     'one of two values': ('controller:\n  ros__parameters:\n    workspace_um: [1, 2, 3]\n',
@@ -234,5 +234,5 @@ def test_what_only_a_node_can_find_wrong_is_one_line_that_says_where(
     _, said = process.communicate(timeout=120)
     *before, line = said.splitlines()
     assert line.startswith(f'microbot: {config}:{told}')
-    assert all('the first time code is compiled' in note for note in before), said
+    assert all('compiling code for the first time' in note for note in before), said
     assert process.returncode == 2

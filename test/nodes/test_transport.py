@@ -95,8 +95,9 @@ def test_who_would_be_open_to_others_is_refused_unless_that_is_asked_for(asks: s
                           timeout=60)
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout == ('' if asks == 'SUBNET' else
-        'ROS_AUTOMATIC_DISCOVERY_RANGE: other computers would reach this process, since the '
-        'middleware did not read client_transport.xml; expected SUBNET where that is meant\n')
+        'ROS_AUTOMATIC_DISCOVERY_RANGE: other computers could reach this process: the middleware '
+        'did not read client_transport.xml; set ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET to allow '
+        'that\n')
 
 
 @pytest.mark.parametrize(('name', 'value', 'reach'), [

@@ -64,7 +64,7 @@ def test_a_direction_that_always_turns_is_modelled_and_said():
     turning = rolling_recording(np.repeat([1.0, 3.0], 60), seconds=0.2, delay=0.0, slip=0.2,
                         alpha=lambda t: 2.0 * t)
     found = respond(turning, 'frequency', 'motion')
-    assert any('turns nearly throughout' in note for note in found.notes)
+    assert any('turns nearly all the time' in note for note in found.notes)
     for one in found.plateaus:
         size = np.hypot(one.speed.value, one.across.value)
         assert size == pytest.approx(3e-6 * one.level, rel=0.05)

@@ -163,5 +163,5 @@ def test_a_cloud_shorter_than_its_fields_is_refused(tmp_path):
     make = typestore().types['sensor_msgs/msg/PointField']
     fields = [make(name, 8 * i, 8, 1) for i, name in enumerate(('id', 'x', 'y'))]
     short = encode(CLOUD, header(START), 1, 2, fields, False, 24, 48, np.zeros(24, np.uint8), True)
-    with pytest.raises(InputError, match='as much data as points'):
+    with pytest.raises(InputError, match='one data entry per point'):
         read_session(write(tmp_path / 'run', (0, '/particles', CLOUD, short)))

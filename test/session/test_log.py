@@ -70,7 +70,7 @@ def test_a_gap_in_the_log_is_named_where_it_is(lines, place, reason):
     b'steam', b'{}', b'{"node": "model", "turn": 1, "taken": []}',
     b'{"node": "model", "turn": 1, "taken": [["particles"]]}'])
 def test_other_text_is_refused(content):
-    with pytest.raises(InputError, match='expected a line of the log of the loop'):
+    with pytest.raises(InputError, match='expected a line of the loop log'):
         log(text(content))
 
 

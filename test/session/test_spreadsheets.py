@@ -163,7 +163,7 @@ def test_a_spreadsheet_with_a_sheet_per_robot_intervals_pixels_and_y_down(tmp_pa
     assert session.conditions.pixel_size == PIXEL
     assert session.conditions.frame_rate == pytest.approx(1 / STEP, rel=0.02)
     for expected in ('intervals', 'y points down', 'Notes: holds neither', 'in radians',
-                     'on the clock of Robot 1', 'row by row beside Robot 1'):
+                     'on the clock of Robot 1', 'matched row by row to Robot 1'):
         assert any(expected in sentence for sentence in said), expected
 
 
@@ -328,7 +328,7 @@ def small(tmp_path: Path, text: str) -> Path:
     ('t_s,x_um\n0,1\n', '--column x=NAME', None),
     ('t_s,x_um,y_um\n0,1,2\n1,oops,2\n', "found 'oops'", 3),
     ('t_s,x_um,y_um\n0,1,2\n1,inf,2\n', "found 'inf'", 3),
-    ('t_s,x_um,y_um\n0,1,2\n1,1,2\n0.5,1,2\n900,1,2\n', 'to ascend', 4),
+    ('t_s,x_um,y_um\n0,1,2\n1,1,2\n0.5,1,2\n900,1,2\n', 'expected ascending times', 4),
     ('t_s,x_um,y_um\n0,1,2\n,1,2\n', "a time in 't_s'", 3),
     ('t_s,particle,x_um,y_um\n0,1,1,2\n0,1,1,2\n', 'one row per robot', None),
     ('t_s,particle,x_um,y_um\n0,1.5,1,2\n', 'whole numbers', 2),

@@ -233,7 +233,7 @@ def test_neither_field_nor_rotation_is_a_recording_at_rest(tmp_path):
                  actions(walk, **{'Alpha': np.zeros(ROWS), 'Rolling Frequency': np.zeros(ROWS)}))
     session, said = import_session(path, Answers())
     assert session.commands.frequency.tolist() == [0]
-    assert any('neither a rotation nor a field' in sentence for sentence in said)
+    assert any('no rotation and no field' in sentence for sentence in said)
 
 
 @pytest.mark.parametrize('names', [
@@ -260,7 +260,7 @@ def test_a_track_that_is_picked_up_again_is_cut(tmp_path):
     assert (len(first.t), len(second.t)) == (200, 300)
     gap = second.t[0] - first.t[-1]
     assert gap == pytest.approx(101 * np.median(lost['Times']), rel=0.01)
-    assert any('picked up again in line 202' in sentence for sentence in said)
+    assert any('found again in line 202' in sentence for sentence in said)
     assert any('sheet of robot 1 holds robot 2 from' in sentence for sentence in said)
     # Commands are joined by frame, so that they stay beside the motion.
     at = second.t[50] + 1e-6
@@ -287,7 +287,7 @@ def test_sheets_that_change_their_robots_are_followed(tmp_path):
     for name, walk in ((2, walks[1]), (3, walks[2])):
         own = session.tracks.of(name).position @ [1, 1j]
         np.testing.assert_allclose(own, 0.345e-6 * walk.z.conj(), rtol=1e-4)
-    assert sum('it is where that one was' in sentence for sentence in said) == 2
+    assert sum('it is at the position of that robot' in sentence for sentence in said) == 2
 
 
 def test_a_stage_that_moves_changes_no_robot(tmp_path):

@@ -114,7 +114,7 @@ def test_brightness_is_that_of_the_usual_grey() -> None:
 
 
 def test_a_grey_picture_has_no_colours() -> None:
-    with pytest.raises(InputError, match='expected pictures in colour'):
+    with pytest.raises(InputError, match='expected colour images'):
         weighted(np.zeros((4, 4), np.uint8), (1.0, 0.0, 0.0))
 
 
@@ -156,7 +156,7 @@ def test_two_kinds_of_equal_brightness_are_followed_each_under_its_name(
     out = tmp_path / 'out'
     assert microbot('track', film, '--out', out, '--like', '0,40,40,red',
                     '--like', '0,280,60,green') == 0
-    assert 'seen by its colour' in capsys.readouterr().err
+    assert 'detected by colour' in capsys.readouterr().err
     rows = _of(out)
     assert (_count(rows, 'red', 0), _count(rows, 'green', 1)) == (4 * _FRAMES, 3 * _FRAMES)
     assert len(rows) == 7 * _FRAMES
@@ -186,5 +186,5 @@ def test_what_was_learned_by_colour_is_no_use_on_a_grey_film(
     capsys.readouterr()
     assert microbot('track', grey, '--out', tmp_path / 'none', '--settings',
                     tmp_path / 'out' / 'learned.yaml') == 2
-    assert 'expected pictures in colour' in capsys.readouterr().err
+    assert 'expected colour images' in capsys.readouterr().err
     assert not (tmp_path / 'none').exists()

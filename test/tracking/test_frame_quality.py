@@ -41,14 +41,14 @@ def test_a_drift_is_said_once_it_is_large() -> None:
     said = [quality.look(_frame(1 - 0.004 * k), 0.02, 0.0) for k in range(120)]
     assert said[40] == {}
     assert list(said[-1]) == ['drift']
-    assert 'off what it was' in said[-1]['drift']
+    assert 'differs by' in said[-1]['drift']
 
 
 def test_saturated_and_blank_pictures_are_said() -> None:
     quality = _after()
     bright = _frame(1.0)
     bright[:12] = 255
-    assert quality.look(bright, 0.02, 0.0) == {'saturated': '10 % of the picture are saturated'}
+    assert quality.look(bright, 0.02, 0.0) == {'saturated': '10 % of the image is saturated'}
     for value in (0, 7, 255):
         assert 'blank' in _after().look(np.full((120, 160), value, np.uint8), 0.02, 0.0)
     deep = np.full((120, 160), 65535, np.uint16)

@@ -54,7 +54,7 @@ def test_one_counter_example_on_a_gap_ends_all() -> None:
 
 def test_a_counter_example_on_what_moves_still_goes_by_its_look() -> None:
     film, robots, _ = _film()
-    with pytest.raises(InputError, match='in size, contrast, sharpness and shape'):
+    with pytest.raises(InputError, match='by size, contrast, sharpness and shape'):
         pointed(TrackerSettings(), [Point(0, *robots[0, 0])], [Point(0, *robots[0, 1])],
                 {0: film[0]}, film)
 

@@ -157,4 +157,4 @@ def test_thousands_of_specks_are_told_of_and_are_no_particles() -> None:
     for place in rng.uniform(2, [318, 238], (2000, 2)):
         draw(picture, place, lambda r: np.exp(-(r**2) / 1.5), -40)
     assert len(detector.detect(expose(picture, 4, rng), NOWHERE)) == 0
-    assert 'no particle' in detector.remark
+    assert 'not a particle' in detector.remark

@@ -129,7 +129,7 @@ def test_a_jump_of_the_picture_keeps_identities_and_is_told(tracker: Tracker) ->
     kept = [(old[int(n)], p) for n, p in zip(poses.id, poses.xy, strict=True) if int(n) in old]
     assert len(kept) > 20
     np.testing.assert_allclose([p - o for o, p in kept], np.tile(-jump, (len(kept), 1)), atol=1)
-    assert tracker.remarks == {'jump': 'the picture jumped by 24 px'}
+    assert tracker.remarks == {'jump': 'the image jumped by 24 px'}
     assert np.abs(poses.velocity[poses.seen]).max() < 100
 
 

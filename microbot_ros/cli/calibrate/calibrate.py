@@ -48,10 +48,10 @@ command.add_command(camera)
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
               help='Folder for coils.yaml, calibration.json and calibration.png.')
 @click.option('--config', type=click.Path(path_type=Path),
-              help="The coils as known so far: a coils.yaml, or the rig's file that names one in "
-              'coil_driver.coils_file. Else the default rig.')
+              help="Coils to start from: a coils.yaml, or the rig's file that names one in "
+                   'coil_driver.coils_file. Default: the coils of the default rig.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write the result here.')
+              help='Write the result as JSON to this file.')
 def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) -> None:
     """Fit the coils to gaussmeter readings, or to the tracks of a session.
 
@@ -143,10 +143,11 @@ def _from_tracks(source: Path, settings: CoilSettings) -> _Found:
     (bx, by), (bx_std, by_std) = 1e3 * found.offset, 1e3 * found.offset_std
     lines = [
         f'y coils over x coils: gain {found.gain_ratio.value:.4f} ± {found.gain_ratio.std:.4f}',
-        f'y coils lean {found.skew.value:.4f} ± {found.skew.std:.4f} rad towards +x',
-        f'background {bx:.3g} ± {bx_std:.2g}, {by:.3g} ± {by_std:.2g} mT beyond the file’s',
-        'not told by tracks: strength of all coils, a common turn, each coil of a pair']
+        f'y coils tilted by {found.skew.value:.4f} ± {found.skew.std:.4f} rad towards +x',
+        f'background field {bx:.3g} ± {bx_std:.2g}, {by:.3g} ± {by_std:.2g} mT in addition to the '
+        "file's",
+        'not determined by tracks: strength of all coils, a common rotation, each coil of a pair']
     if found.unexplained:
-        lines.append(f'! something else is left, against {", ".join(found.unexplained)}: see '
-                     'microbot discover')
+        lines.append(f'! residuals remain against {", ".join(found.unexplained)}: see microbot '
+                     'discover')
     return _Found(corrected, summary, lines, lambda path: draw_coils(found, path))

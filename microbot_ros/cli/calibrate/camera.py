@@ -65,20 +65,20 @@ def _rounded(value: float | None) -> float | None:
 @click.option('--graticule', type=click.Path(path_type=Path), metavar='PICTURE',
               help='Picture of a stage micrometer or grating: evenly spaced lines.')
 @click.option('--spacing-um', type=float,
-              help='From line to line of the graticule.')
+              help='Distance between neighbouring lines of the graticule.')
 @click.option('--along-coils', is_flag=True,
               help='The graticule lies along the coils: its angle is the rotation.')
 @click.option('--particles', metavar='SOURCE',
-              help='Video or images of particles of a known size, instead of a graticule; good '
-              'to one pixel of the diameter.')
+              help='Video or images of particles of a known size, in place of a graticule; '
+                   'accurate to one pixel of the diameter.')
 @click.option('--diameter-um', type=float, help='Their diameter.')
 @click.option('--phi-deg', type=float,
-              help='Angle from the field to the motion of every particle, where it is known (0 '
-              'for rollers); else it is taken to be zero on average.')
+              help='Angle from the field to the motion of every particle, if known (0 for '
+                   'rollers); otherwise it is taken as zero on average.')
 @click.option('--config', type=click.Path(path_type=Path),
               help="Rig's YAML with which SESSION was recorded (else the default tracker).")
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write the result here.')
+              help='Write the result as JSON to this file.')
 def camera(
     session: Path | None, out: Path, graticule: Path | None, spacing_um: float | None,
     along_coils: bool, particles: str | None, diameter_um: float | None, phi_deg: float | None,
@@ -180,17 +180,17 @@ def _by_motion(
         'rotation_interval_95_deg': interval}
     if turn.mirrored:
         part = part.say(
-            'particles turn against the command: the picture is mirrored, or one pair of coils is '
-            f'reversed, or x and y are swapped; mirrored is now {str(mirrored).lower()} '
-            f'(log odds {turn.log_odds:.0f})')
+            'particles turn against the command: the image is mirrored, or one pair of coils is '
+            f'reversed, or x and y are swapped; mirrored is now {str(mirrored).lower()} (log odds '
+            f'{turn.log_odds:.0f})')
     else:
         part = part.say(f'particles turn with the command (log odds {turn.log_odds:.0f})')
     if interval is None:
         return part.say(
-            f'rotation not found: {len(turn.ids)} particle(s) show no direction in common, and '
-            'each has a φ of its own; give --phi-deg, or lay a graticule along the coils '
+            f'rotation not found: {len(turn.ids)} particle(s) have no common direction, as '
+            'each has its own φ; give --phi-deg, or align a graticule with the coils '
             '(--along-coils)'), turn
-    convention = 'φ as stated' if turn.phi_known else 'φ taken to be zero on average'
+    convention = 'φ as stated' if turn.phi_known else 'φ taken as zero on average'
     return part.say(f'rotation {math.degrees(rotation):.2f} ± {interval:.2g}° (95 %) from '
                     f'{len(turn.ids)} particles, {convention}'), turn
 
@@ -210,8 +210,8 @@ def _by_graticule(
         'period_px': found.period_px, 'period_std_px': found.period_std_px,
         'pixel_size_std_um': from_si('_um', std), 'angle_deg': angle, 'angle_std_deg': angle_std}
     part = replace(part, pixel_size=size).say(
-        f'pixel size {from_si("_um", size):.5g} ± {from_si("_um", 1.96 * std):.1g} µm (95 %) '
-        f'from {found.period_px:.2f} px a line')
+        f'pixel size {from_si("_um", size):.5g} ± {from_si("_um", 1.96 * std):.1g} µm (95 %) from '
+        f'{found.period_px:.2f} px per line')
     if not along_coils:
         return part, image, found
     # The nearest quarter turn to what is known already.
@@ -220,7 +220,7 @@ def _by_graticule(
     rotation = before - math.remainder(square, math.pi / 2)
     return replace(part, rotation=math.remainder(rotation, math.tau)).say(
         f'rotation {math.degrees(rotation):.3f} ± {1.96 * angle_std:.1g}° (95 %) from the '
-        'graticule along the coils'), image, found
+        'graticule aligned with the coils'), image, found
 
 
 def _by_size(
@@ -233,9 +233,9 @@ def _by_size(
     appearance = learn_first(
         (frame.image for frame in open_source(source, lambda _: None).frames()), TrackerSettings())
     if appearance is None:
-        raise InputError(source, 'expected particles; nothing in it stands out of the noise')
+        raise InputError(source, 'expected particles; nothing stands out of the noise')
     size = diameter / appearance.diameter_px
     result['particles'] = {'diameter_px': appearance.diameter_px}
     return replace(part, pixel_size=size).say(
         f'pixel size {from_si("_um", size):.3g} ± {100 / appearance.diameter_px:.0f} % from a '
-        f'diameter of {appearance.diameter_px:.1f} px, good to a pixel')
+        f'diameter of {appearance.diameter_px:.1f} px, accurate to one pixel')

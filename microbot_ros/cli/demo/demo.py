@@ -56,17 +56,17 @@ class _Run:
 
 @click.command()
 @click.option('--seconds', type=FiniteFloatRange(_FEWEST_SECONDS, 86400), default=30.0,
-              show_default=True, help='How long the loop runs.')
+              show_default=True, help='Duration of the closed loop.')
 @click.option('--seed', type=click.IntRange(0, 2**31 - 1), default=1, show_default=True,
               metavar='N', help='Seed of particles, noise and debris.')
 @click.option('--robots', type=click.Choice(list(KINDS)), default='catalytic', show_default=True,
-              help='What is steered: swimmers that a field turns, or rollers in a field that '
-                   'turns.')
+              help='Kind of particles: swimmers that a field turns, or rollers in a rotating '
+                   'field.')
 @cockpit_option
 @click.option('--out', type=click.Path(path_type=Path), default=Path('out/demo'),
-              show_default=True, help='Folder for what the demo leaves behind.')
+              show_default=True, help='Folder for the results.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write the summary here.')
+              help='Write the summary as JSON to this file.')
 def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
             json_path: Path | None) -> None:
     """Steer a microrobot on the virtual rig, over a real ROS graph and a real serial line.
@@ -88,7 +88,7 @@ def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
     try:
         run, summary = _demo(seconds, seed, KINDS[robots], cockpit, out, began)
     except Stopped as stopped:
-        _say(began, f'stopped by {stopped}: nothing was kept')
+        _say(began, f'stopped by {stopped}: no results written')
         sys.exit(stopped.status)
     _print(summary, out)
     if json_path:
@@ -102,10 +102,10 @@ def tell_shortcomings(faults: list[str], summary: dict[str, Any], began: float) 
     `began` [s, monotonic] is when the demo did.
     """
     if faults:
-        _say(began, f'the loop was cut: {"; ".join(faults)}')
+        _say(began, f'the loop was interrupted: {"; ".join(faults)}')
     missed = summary['goals'] - summary['goals_reached']
     if missed:
-        _say(began, f'{missed} of {summary["goals"]} places not reached; the particle ended '
+        _say(began, f'{missed} of {summary["goals"]} goals not reached; the particle ended '
                     f'{summary["goal_error_um"]:.1f} µm from the last')
     return 1 if faults or missed else 0
 
@@ -156,7 +156,7 @@ def _steer(graph: Graph, seconds: float, robots: Robots, began: float) -> _Run:
         armed_at = time.time()
         client.set('controller', controller='open_loop')
         start = time.monotonic()
-        _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to learn v and φ')
+        _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to estimate v and φ')
         watch.until(start + LEARN_SECONDS)
         goals = places_within(start + seconds - time.monotonic(), watch.estimates,
                               robots.turns_per_s)

@@ -29,22 +29,23 @@ if TYPE_CHECKING:
               help='Folder for result.json, model.yaml and report.html; with --live, of the '
               'folders look-1, look-2, ... that hold them.')
 @click.option('--jobs', type=click.IntRange(1), default=1, show_default=True, metavar='N',
-              help='Processes that share the work.')
+              help='Number of processes.')
 @click.option('--live', is_flag=True,
-              help='Instead of sessions: watch the running graph, or a replay, and propose.')
+              help='In place of sessions: analyse the running graph, or a replay, and propose '
+                   'experiments.')
 @click.option('--seconds', type=FiniteFloatRange(10, 3600), default=60.0, show_default=True,
-              help='With --live: how much of the recent past to look at, each time.')
+              help='With --live: duration of the recent past that each analysis covers.')
 @click.option('--rounds', type=click.IntRange(0), default=0, metavar='N',
-              help='With --live: end after N looks; 0 goes on until Ctrl-C.')
+              help='With --live: end after N analyses; 0 continues until Ctrl-C.')
 @click.option('--drive', is_flag=True,
-              help='Instead of sessions: have the running, armed rig play what tells most, until '
-              'the question is settled.')
+              help='In place of sessions: drive the running, armed rig through the most '
+                   'informative experiments, until the question is settled.')
 @click.option('--minutes', type=FiniteFloatRange(0.5, 600), default=10.0, show_default=True,
-              help='With --drive: how long at most.')
+              help='With --drive: time limit.')
 @click.option('--apply', 'apply_', is_flag=True,
-              help='With --drive: give the model found to the model node and the controllers.')
+              help='With --drive: load the model found into the model node and the controllers.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write the content of result.json here.')
+              help='Write the content of result.json to this file too.')
 @namespace_option
 def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, seconds: float,
             rounds: int, drive: bool, minutes: float, apply_: bool,
@@ -70,9 +71,9 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
     from microbot_ros.session import read_session
 
     if bool(sessions) + live + drive != 1:
-        raise click.UsageError('expected either SESSION... or --live or --drive')
+        raise click.UsageError('expected one of: SESSION..., --live, --drive')
     if apply_ and not drive:
-        raise click.UsageError('--apply is for --drive')
+        raise click.UsageError('expected --apply only with --drive')
     progress = Console(stderr=True, highlight=False)
     if live:
         _watch(out, seconds, rounds, jobs, json_path, progress, namespace)
@@ -162,13 +163,13 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
             except (InputError, ReportError) as error:
                 if look == rounds:
                     raise
-                progress.print(f'nothing to say yet: {error}'
+                progress.print(f'no result yet: {error}'
                                if isinstance(error, InputError) else f'! {error}')
             if look == rounds:
                 return
             if (took := time.monotonic() - began) > seconds:
-                progress.print(f'! look {look} took {took:.0f} s, longer than its {seconds:g} s '
-                               'of data: what came meanwhile is left out')
+                progress.print(f'! analysis {look} took {took:.0f} s, longer than its '
+                               f'{seconds:g} s of data: data received meanwhile are left out')
             recent.forget()
 
 
@@ -179,14 +180,14 @@ def _propose(file: Path, time_invariant: bool, namespace: str, progress: Console
         progress.print(f'to use it: microbot set {node} model_file {file}{where}',
                        soft_wrap=True)
     if not time_invariant:
-        progress.print('! It has an effect that counts time: here from the first frame heard, '
-                       'in a node from its start.')
+        progress.print('! The model has an effect that depends on time since the start: here '
+                       "since the first frame received, in a node since the node's start.")
 
 
 def _listen(client: GraphClient, recent: LiveSessionBuffer, seconds: float,
             progress: Console) -> Session:
     """What the graph of a `client`, or a replay, says for so long."""
-    with progress.status('no particles yet: is a graph running, or a replay?') as status:
+    with progress.status('no particles yet: is a rig running, or a replay?') as status:
         while recent.span < seconds - 0.5:
             client.spin(0.5)
             if recent.span:

@@ -72,7 +72,7 @@ def _write(driven: Driven, out: Path, json_path: Path | None, progress: Console)
     from microbot_ros.discovery.driven.conclusion import as_json, discovered
     from microbot_ros.model.io.model_file import write_model
 
-    with progress.status('looking at all of it') as status:
+    with progress.status('analysing all experiments') as status:
         result = discovered(driven, status.update)
     found = {} if result is None else result[0].as_json()
     text = json.dumps(found | as_json(driven), indent=1, ensure_ascii=False,
@@ -84,7 +84,7 @@ def _write(driven: Driven, out: Path, json_path: Path | None, progress: Console)
     if json_path:
         write_text(json_path, text)
     if result is None:
-        raise RigError(driven.reason or 'too little was seen to learn anything')
+        raise RigError(driven.reason or 'too little data to learn anything')
     console = Console(highlight=False)
     for line in result[0].sentences():
         console.print(line, soft_wrap=True)
@@ -112,12 +112,12 @@ def _give(client: GraphClient, file: Path, progress: Console) -> str:
     for model in ('', str(file)):
         for node in ('model', 'controller'):
             client.set(node, model_file=model)
-        with progress.status('holding a particle at a place'):
+        with progress.status('testing the model: holding a particle at a place'):
             errors.append(_tracking_error(client))
-    said = (f'{CONTROLLER} held a particle {errors[0] * 1e6:.1f} µm from its place with the '
-            f'first-order model, {errors[1] * 1e6:.1f} µm with the model found')
+    said = (f'{CONTROLLER} held a particle at {errors[0] * 1e6:.1f} µm from its place with the '
+            f'first-order model, at {errors[1] * 1e6:.1f} µm with the model found')
     progress.print(f'model and controllers use {file}; {said}', soft_wrap=True)
-    return f'<h2>What it is worth at the wheel</h2><p>{said[0].upper() + said[1:]}.</p>'
+    return f'<h2>What the model improves in control</h2><p>{said[0].upper() + said[1:]}.</p>'
 
 
 def _tracking_error(client: GraphClient) -> float:

@@ -67,7 +67,7 @@ def run_check(session: Path, nodes: Collection[str], end: float, tolerance: floa
     console.print(_table([topic for topic, _ in found]))
     for topic, doubt in found:
         if topic.unjudged and doubt:
-            console.print(f'{topic.topic}: {topic.unjudged} frames cannot be judged: '
+            console.print(f'{topic.topic}: {topic.unjudged} frames cannot be compared: '
                           f'{doubt.reason}')
     same, verdict = _verdict([topic for topic, _ in found])
     console.print(f'{session}: {verdict}')
@@ -83,9 +83,9 @@ def _verdict(found: list[TopicDifference]) -> tuple[bool, str]:
         return False, 'answers differ'
     blind = [topic.topic for topic in found if topic.unjudged and not topic.pairs]
     if blind:
-        return False, f'no answer on {blind[0]} can be judged'
+        return False, f'no output on {blind[0]} can be compared'
     doubtful = any(topic.unjudged for topic in found)
-    return True, 'every answer is the same' + (', where it can be judged' if doubtful else '')
+    return True, 'all outputs are equal' + (', as far as they can be compared' if doubtful else '')
 
 
 def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
@@ -117,8 +117,8 @@ def _compared(recorded: Recording, replayed: Recording, replay: Replay, toleranc
         allowed, doubt = tolerance, player.doubt
         if not player.ordered:
             allowed = max(tolerance, ORDER_TOLERANCE)
-            doubt = doubt or Doubt(0, f'the order in which the {node} took things in is not '
-                                      'recorded', ORDER_SHARE)
+            doubt = doubt or Doubt(0, f'the order in which the {node} received '
+                                      'its messages is not recorded', ORDER_SHARE)
         found += [(topic, doubt) for topic in compare(
             recorded, replayed, {*topics}.intersection([*recorded.topics, *replayed.topics]),
             _answered(recorded, topics, player.played, progress), allowed, doubt)]
@@ -136,8 +136,8 @@ def _answered(
     answered = stamps.intersection(
         header_stamp_ns(message.data) for message in recorded.messages(there)) or stamps
     if passed := len(stamps) - len(answered):
-        progress.print(f'{topics[0]}: left out {passed} of {len(stamps)} frames, which were not '
-                       'answered when it was recorded', soft_wrap=True)
+        progress.print(f'{topics[0]}: left out {passed} of {len(stamps)} frames that were not '
+                       'answered in the recording', soft_wrap=True)
     return answered
 
 

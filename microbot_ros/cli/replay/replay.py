@@ -15,35 +15,36 @@ from microbot_ros.common.errors import InputError
 @click.command()
 @click.argument('session', type=click.Path(path_type=Path))
 @click.option('--rate', default=1.0, show_default=True,
-              help='Times real time; 0 is as fast as it goes.')
-@click.option('--start', default=0.0, show_default=True, help='Where to begin [s].')
-@click.option('--end', default=0.0, help='Where to end [s]; 0 plays to the end.')
+              help='Speed relative to real time; 0: as fast as possible.')
+@click.option('--start', default=0.0, show_default=True, help='Start of the playback [s].')
+@click.option('--end', default=0.0, help='End of the playback [s]; 0 plays to the end.')
 @click.option('--loop', is_flag=True, help='Begin again at the end.')
 @click.option('--topic', 'topics', multiple=True,
               help='Play only this topic; may be given several times.')
 @click.option('--into-live-rig', is_flag=True,
-              help='Play even where nodes of a rig are live: goals and commands of the past drive '
+              help='Play even if nodes of a rig are live: recorded goals and commands then drive '
                    'it.')
 @click.option('--film', type=click.Path(path_type=Path, allow_dash=True), metavar='FILE',
-              help='Draw it as a film, an MP4, in place of playing it; - is standard output.')
+              help='Draw the recording as an MP4 film, in place of playing it; - is standard '
+                   'output.')
 @click.option('--check', is_flag=True,
-              help="Put it through today's nodes, and compare with what was "
-                   'recorded.')
+              help="Run the recording through today's nodes, and compare with the recorded "
+                   'outputs.')
 @click.option('--node', 'nodes', multiple=True,
               type=click.Choice(['tracker', 'model', 'controller', 'coil_driver']),
               help='With --check: only this node; may be given several times.')
 @click.option('--tolerance', type=FiniteFloatRange(0, 1), default=0.0, show_default=True,
-              help='With --check: what numbers may differ by, as a share of the largest in their '
-                   'field. Another processor may round otherwise.')
+              help='With --check: largest allowed difference, relative to the largest value of '
+                   'the field. Another processor may round differently.')
 @click.option('--config', type=click.Path(path_type=Path),
               help='With --check: parameters in place of those in the recording.')
 @click.option('--policy', type=click.Path(path_type=Path),
-              help='With --check: the ONNX network that the controller policy plays; one that a '
-                   'recording names is not executed.')
+              help='With --check: the ONNX network of the controller policy; a network named in a '
+                   'recording is not executed.')
 @click.option('--out', type=click.Path(path_type=Path),
-              help='With --check: keep what the nodes answered, as a recording.')
+              help="With --check: write the nodes' outputs as a recording.")
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='With --check: also write the differences as JSON.')
+              help='With --check: write the differences as JSON to this file.')
 def command(
     session: Path, rate: float, start: float, end: float, loop: bool, topics: tuple[str, ...],
     into_live_rig: bool, film: Path | None, check: bool, nodes: tuple[str, ...], tolerance: float,
@@ -72,7 +73,7 @@ def command(
         from microbot_ros.cli.replay.check import run_check
 
         if config and policy:
-            raise InputError('--policy', 'expected only without --config, which names it')
+            raise InputError('--policy', 'expected only without --config, which sets it')
         if rate != 1.0 or start or loop or topics or into_live_rig:
             raise InputError('--rate, --start, --loop, --topic, --into-live-rig',
                              'expected only without --check')

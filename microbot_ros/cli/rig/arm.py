@@ -9,7 +9,7 @@ from microbot_ros.cli.options import namespace_option
 
 @click.command()
 @click.option('--off', is_flag=True,
-              help='Disarm: send zero to the coils, and tell what is known of it.')
+              help='Disarm: send zero to the coils, and report whether it is confirmed.')
 @namespace_option
 def command(off: bool, namespace: str) -> None:
     """Arm the safety gate of the running coil driver, or disarm it.

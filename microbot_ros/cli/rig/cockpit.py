@@ -11,11 +11,11 @@ from microbot_ros.cli.options import namespace_option
 
 @click.command()
 @click.option('--host', default='127.0.0.1', show_default=True, metavar='H',
-              help='Name or address of this machine to listen at; 0.0.0.0 for all it has.')
+              help='Host name or address of this machine to listen on; 0.0.0.0 for all addresses.')
 @click.option('--port', type=click.IntRange(0, 65535), default=8642, show_default=True,
-              metavar='P', help='Port to listen at; 0 takes any that is free.')
+              metavar='P', help='Port to listen on; 0 takes any free port.')
 @click.option('--token/--no-token', default=True, show_default=True,
-              help='Whether pages need the token in the address; without one every user of this '
+              help='Whether pages need the token in the address; without it every user of this '
                    'machine can drive the rig.')
 @namespace_option
 def command(host: str, port: int, token: bool, namespace: str) -> None:

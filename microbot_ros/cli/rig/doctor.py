@@ -38,9 +38,9 @@ class Finding(NamedTuple):
 
 @click.command()
 @click.option('--config', type=click.Path(path_type=Path),
-              help='Also check this rig: its parameters, coils, port and camera.')
+              help='Check this rig too: its parameters, coils, port and camera.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write the findings as JSON.')
+              help='Write the findings as JSON to this file.')
 def command(config: Path | None, json_path: Path | None) -> None:
     """Say whether this machine, and with --config the rig, is ready. Moves no current.
 
@@ -112,10 +112,10 @@ def _real_time() -> Finding:
     with ThreadPoolExecutor(1) as pool:
         granted = pool.submit(set_realtime_priority).result()
     if granted:
-        return Finding('real time', 'ok', 'granted: the loop comes before all else here')
-    return Finding('real time', 'warn', 'not granted: other programs can hold up the loop; add '
-                   f'"{getpass.getuser()} - rtprio 10" to /etc/security/limits.conf and log in '
-                   'again')
+        return Finding('real time', 'ok', 'granted: the loop has priority over other programs')
+    return Finding('real time', 'warn', 'not granted: other programs can delay the loop; add '
+                                        f'"{getpass.getuser()} - rtprio 10" to '
+                                        '/etc/security/limits.conf and log in again')
 
 
 def _dead_man() -> Finding:
@@ -135,11 +135,12 @@ def _dead_man() -> Finding:
         late_ms = pool.submit(watch).result() * 1e3
     return Finding(
         'dead-man', 'ok' if late_ms <= _LATE_MS else 'warn',
-        f'beside {os.cpu_count()} busy programs woke at most {late_ms:.1f} ms late in '
-        f'{_WATCH_SECONDS:g} s; a zero comes so much later than command_timeout_ms of the '
-        'coil_driver says'
-        + ('' if late_ms <= _LATE_MS else f', expected {_LATE_MS:g} ms: see real time above, and '
-           'what else of this machine runs in real time'))
+        f'with {os.cpu_count()} busy programs, woke at most {late_ms:.1f} ms late in '
+        f'{_WATCH_SECONDS:g} s; a zero is later by this than command_timeout_ms of the '
+        'coil_driver'
+        + ('' if late_ms <= _LATE_MS else f', expected {_LATE_MS:g} ms: see real time above, '
+                                          'and check what else runs in real time on this '
+                                          'machine'))
 
 
 def _shared_memory() -> Finding:
@@ -177,7 +178,7 @@ def _rig(config: Path) -> Finding:
     for node, name in (('coil_driver', 'port'), ('camera', 'source')):
         device = str(rig.get(node, {}).get(name, ''))
         if device.startswith('/') and not Path(device).exists():
-            problems.append(f'{node}.{name} {device} is not there')
+            problems.append(f'{node}.{name} {device} does not exist')
     coils = ''
     if 'coil_driver' in rig:
         try:
@@ -259,15 +260,17 @@ def _watchdog(config: Path) -> Finding:
     watchdog = amplifier.watchdog
     if not amplifier.reads_back:
         accepted = given.get('accept_no_feedback')
-        return Finding('watchdog', 'warn' if accepted else 'fail', f'{protocol} reads no currents '
-                       f'back{", which is accepted" if accepted else ""}: {WITHOUT_FEEDBACK}'
-                       + ('' if accepted else '; it is not driven unless '
-                          'coil_driver.accept_no_feedback says that this is accepted'))
+        then = ('accepted' if accepted else
+                'it is driven only with coil_driver.accept_no_feedback: true')
+        return Finding('watchdog', 'warn' if accepted else 'fail',
+                       f'{protocol} measures no currents: {WITHOUT_FEEDBACK}; {then}')
     if given.get('accept_no_watchdog') and watchdog is not Watchdog.ARMED:
-        return Finding('watchdog', 'warn', f'{protocol}, accepted without one: {WITHOUT_WATCHDOG}')
+        return Finding('watchdog', 'warn', f'{protocol}, accepted without a watchdog: '
+                                           f'{WITHOUT_WATCHDOG}')
     if watchdog is Watchdog.NONE:
-        return Finding('watchdog', 'fail', f'{protocol} has none: {WITHOUT_WATCHDOG}; it is not '
-                       'driven unless coil_driver.accept_no_watchdog says that this is accepted')
+        return Finding('watchdog', 'fail', f'{protocol} has no watchdog: {WITHOUT_WATCHDOG}; it '
+                                           'is driven only with coil_driver.accept_no_watchdog: '
+                                           'true')
     return Finding('watchdog', 'ok', f'{protocol}: {watchdog.value}')
 
 
@@ -282,12 +285,12 @@ def _latency(config: Path) -> Finding:
         try:
             slow, sentence = _asked_for_low_latency(port)
         except PortBusyError:
-            slow, sentence = False, 'in use, not asked'
+            slow, sentence = False, 'in use, not checked'
         except AmplifierError as error:
             slow, sentence = False, str(error)
         level = 'warn' if slow else level
         told.append(f'{port}: {sentence}')
-    return Finding('low latency', level, '; '.join(told) or 'no port to ask')
+    return Finding('low latency', level, '; '.join(told) or 'no port configured')
 
 
 def _asked_for_low_latency(port: str) -> tuple[bool, str]:
@@ -301,10 +304,10 @@ def _asked_for_low_latency(port: str) -> tuple[bool, str]:
     finally:
         line.close()
     if held_ms is not None and held_ms > 1:
-        return True, (f'the adapter holds answers back for up to {held_ms} ms, low latency was '
+        return True, (f'the adapter delays answers by up to {held_ms} ms, low latency was '
                       + ('granted without effect' if granted else 'refused')
                       + f'; {_UDEV_HINT}')
     if held_ms is not None:
-        return False, f'answers are held back for {held_ms} ms at most'
+        return False, f'answers are delayed by at most {held_ms} ms'
     return False, ('low latency granted' if granted else 'low latency refused') + (
-        ', and no latency timer that could hold answers back')
+        ', and no latency timer that could delay answers')

@@ -16,23 +16,24 @@ _WATCHDOG_MS = 100.0
 @click.command('emulate')
 @click.argument('protocol', type=click.Choice(list(process.DEVICES)))
 @click.option('--link', type=click.Path(path_type=Path), required=True,
-              help='Name under which a driver opens the line.')
+              help='Path under which a driver opens the line.')
 @click.option('--log', type=click.Path(path_type=Path),
               help='File for one line of JSON per change of current.')
 @click.option('--full-scale-A', 'full_scale_a', type=FiniteFloatRange(0, 1000, min_open=True),
               default=1.0, show_default=True, help='Current of a coil at full output.')
 @click.option('--channels', type=click.IntRange(1, 16), default=4, show_default=True,
-              help='How many coils it drives; serial_transfer at most 6.')
+              help='Number of coils; serial_transfer at most 6.')
 @click.option('--watchdog-ms', type=FiniteFloatRange(0, 60_000, min_open=True),
               help='Zero the coils this long after the last good command.  [default: 100]')
 @click.option('--no-watchdog', is_flag=True,
-              help='Keep the last command for ever, as much laboratory firmware does.')
+              help='Hold the last command indefinitely (no watchdog), as much laboratory firmware '
+                   'does.')
 @click.option('--leave-nothing', is_flag=True,
-              help='At the end remove the log and, once it is empty, the folder of the link.')
+              help='At the end delete the log and, if empty, the folder of the link.')
 @click.option('--fault', 'faults', multiple=True, metavar='KIND[=VALUE][/LINE][@START][+DURATION]',
-              help='What goes wrong, on which line (1, 2, …; all without), when and for how long '
-                   '[s]; may be repeated. A single - reads faults from standard input, one a '
-                   'line, as they come.')
+              help='Fault, with its line (1, 2, …; default: all), start and duration [s]; may be '
+                   'repeated. A single - reads faults from standard input, one per line, at any '
+                   'time.')
 def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
             channels: int, watchdog_ms: float | None, no_watchdog: bool, leave_nothing: bool,
             faults: tuple[str, ...]) -> None:

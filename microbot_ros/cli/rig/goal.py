@@ -33,12 +33,13 @@ with the next frame, and tells five times a second."""
 @click.command(context_settings={'ignore_unknown_options': True})
 @click.argument('positions_um', nargs=-1, metavar='[X_UM,Y_UM]...')
 @click.option('--file', type=click.Path(path_type=Path),
-              help='A CSV file with columns x_um,y_um instead; a column particle says whose goal '
-                   'each is.')
-@click.option('--path', 'as_path', is_flag=True, help='A path to follow, not goals.')
-@click.option('--cancel', is_flag=True, help='Forget goals and path.')
+              help='A CSV file with columns x_um,y_um in place of positions; an optional column '
+                   'particle assigns each goal.')
+@click.option('--path', 'as_path', is_flag=True, help='The positions are a path to follow, '
+                                                      'not goals.')
+@click.option('--cancel', is_flag=True, help='Delete goals and path.')
 @click.option('--wait', 'seconds', type=FiniteFloatRange(0, 86400), metavar='SECONDS',
-              help='Tell the progress and wait for the arrival; exit 1 if it takes longer.')
+              help='Print the progress and wait for the arrival; exit 1 after this time.')
 @namespace_option
 def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, cancel: bool,
             seconds: float | None, namespace: str) -> None:
@@ -57,7 +58,7 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
     if bool(positions_um) + bool(file) + cancel != 1:
         raise click.UsageError('expected either positions, or --file, or --cancel')
     if seconds is not None and (as_path or cancel):
-        raise click.UsageError('--wait is for goals')
+        raise click.UsageError('expected --wait only with goals')
     places, particles = _read(file) if file else ([_position(t) for t in positions_um], None)
     if as_path and particles is not None:
         raise InputError(str(file), 'expected no column particle in a path')
@@ -75,7 +76,7 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
         what = f'path of {count} points' if as_path else f'{count} goal{"s" * (count > 1)}'
         _refuse(client, 'path' if as_path else 'goals', taken.stamp)
         if seconds is None:
-            click.echo(f"{what} taken by controller '{taken.controller}'")
+            click.echo(f"{what} accepted by controller '{taken.controller}'")
             coils.listen()
             return
         _wait(client, taken.stamp, seconds)
@@ -144,13 +145,13 @@ def _refuse(client: GraphClient, what: str, stamp: float) -> None:
 
 def _wait(client: GraphClient, stamp: float, seconds: float) -> None:
     """Tell the progress until arrival; RigError where the goals are refused, else exit 1."""
-    heard, next_line = ['', 'nothing more was heard of the controller'], 0.0
+    heard, next_line = ['', 'the controller stopped publishing'], 0.0
 
     def tell(_level: bytes, sentence: str, values: dict[str, str]) -> None:
         nonlocal next_line
         told = float(values['goals_stamp_s'])
         if told != stamp:
-            heard[:] = (('replaced', 'other goals have taken their place') if told > stamp else
+            heard[:] = (('replaced', 'other goals have replaced these') if told > stamp else
                         ('', 'the controller no longer has these goals'))
             return
         heard[:] = 'done' if values.get('done') == 'True' else values['result'], sentence

@@ -11,10 +11,10 @@ from microbot_ros.cli.options import namespace_option
 
 @click.command()
 @click.option('--stop', is_flag=True, help='End the recording.')
-@click.option('--title', default='', help='One line on what it is of.')
-@click.option('--notes', default='', help='Whatever else is worth knowing.')
+@click.option('--title', default='', help='Title of the recording, one line.')
+@click.option('--notes', default='', help='Further notes.')
 @click.option('--folder', type=click.Path(path_type=Path),
-              help='Where to; otherwise ./recordings, named after the time.')
+              help='Folder of the recording; default: ./recordings, named by the time.')
 @namespace_option
 def command(stop: bool, title: str, notes: str, folder: Path | None, namespace: str) -> None:
     """Tell the recorder of a running rig to begin a recording, or with --stop to end it.

@@ -102,7 +102,7 @@ def pointed(
         if len(samples) >= 3:
             settings, count = without_creeping(settings, samples, meant, point.x, point.y)
             if count:
-                said.append(f'unlike: what is at {point.x:g},{point.y:g} goes with its '
+                said.append(f'unlike: the object at {point.x:g},{point.y:g} resembles its '
                             f'surroundings, as {count - 1} others do; all are left out')
                 continue
         try:
@@ -150,8 +150,8 @@ def look(
         settings = settings.model_copy(update={'colour': colour})
     view = View(colour, interlaced(samples))
     if view.interlaced:
-        report(f'{source}: its pictures are interlaced, every other row shows another moment; '
-               'only the even rows are used')
+        report(f'{source}: its images are interlaced (every other row shows another moment); only '
+               'the even rows are used')
         samples = [one_field(sample) for sample in samples]
     recording = open_source(source, report, frame_rate_hz, view)
     if colour is not None:
@@ -197,5 +197,5 @@ def _telling_colour(
     if found is None:
         return None, []
     weights, gain = found
-    return weights, ['seen by its colour, which tells it {:.1f} times better than brightness: '
-                     '{:+g} red {:+g} green {:+g} blue'.format(gain, *weights)]
+    return weights, ['detected by colour, {:.1f} times better than by brightness: {:+g} red {:+g} '
+                     'green {:+g} blue'.format(gain, *weights)]

@@ -32,20 +32,22 @@ _WHOLE = 0.95
               help='Width of a pixel in the sample; adds t_s, x_um, y_um (y up, origin at the '
               'centre of the image).')
 @click.option('--frame-rate-hz', type=plausible_number('frame_rate_hz'),
-              help='Frames per second: for images, or instead of what a video says.')
+              help="Frames per second, of images or in place of a video's own rate.")
 @click.option('--settings', 'settings_path', type=click.Path(path_type=Path), metavar='YAML',
-              help='Settings of detection and linking; what is left out is chosen.')
+              help='Settings of detection and linking; missing ones are chosen automatically.')
 @click.option('--commands', 'commands_path', type=click.Path(path_type=Path), metavar='CSV',
-              help='What drove the particles, on the clock of the frames (the first is at 0): '
-              'commands.csv of a session. A turn of the field is then expected.')
+              help='Commands that drove the particles, on the clock of the frames (the first '
+                   'is at 0): commands.csv of a session. Turns of the field are then '
+                   'predicted.')
 @click.option('--like', multiple=True, type=PointType(named=True),
-              help='In this frame, at these pixels, is one to follow; KIND names it. Between '
-              'two near parts both are meant, as one. Again for more examples.')
+              help='Point at a particle to follow, in this frame at these pixels; KIND names it. '
+                   'A point between two near parts means both, as one body. Repeat for more '
+                   'examples.')
 @click.option('--unlike', multiple=True, type=PointType(named=False),
-              help='There is something that is not to be followed.')
+              help='Point at something that is not to be followed.')
 @click.option('--overlay/--no-overlay', default=True, help='Write overlay.mp4.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write the result as JSON.')
+              help='Write the result as JSON to this file.')
 def command(
     source: str, out: Path, pixel_size_um: float | None, frame_rate_hz: float | None,
     settings_path: Path | None, commands_path: Path | None, like: tuple[Point, ...],
@@ -76,7 +78,7 @@ def command(
     commanded = _Commanded(commands_path) if commands_path else None
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     problems: list[str] = []
-    with console.status('looking at the film'):
+    with console.status('reading the film'):
         film = look(source, problems.append, frame_rate_hz, settings, like, unlike)
     recording, settings = film.recording, film.settings
     for sentence in film.said:
@@ -89,10 +91,10 @@ def command(
         result = _track(recording, settings, folder, pixel_size_um, commanded, overlay, console,
                         problems)
     if result['frames'] < settings.confirm_frames and result['appearance']:
-        problems.append(f'{source}: a particle needs {settings.confirm_frames} frames, here are '
-                        f'{result["frames"]}; no tracks')
+        problems.append(f'{source}: a particle needs {settings.confirm_frames} frames, the film '
+                        f'has {result["frames"]}; no tracks')
     if not result['appearance']:
-        problems.append(f'{source}: nothing in it stands out of the noise; no tracks')
+        problems.append(f'{source}: nothing stands out of the noise; no tracks')
     for problem in dict.fromkeys(problems):
         console.print(f'microbot track: {problem}', markup=False)
     result['warnings'] = list(dict.fromkeys(problems))
@@ -183,7 +185,7 @@ class _Commanded:
 
         table = read_table(path, UNIFORM, ROLLING)
         columns = table.columns
-        table.refuse(np.diff(columns['t_s'], prepend=-np.inf) <= 0, 'expected times that rise')
+        table.refuse(np.diff(columns['t_s'], prepend=-np.inf) <= 0, 'expected ascending times')
         if table.layout is ROLLING:
             angle, rate = columns['direction_rad'], columns['frequency_hz']
             drives = rate[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])

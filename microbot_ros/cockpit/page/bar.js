@@ -22,7 +22,7 @@ function show(state) {
   byId('rig-chip').dataset.state = rig;
   setText(byId('rig-chip'), CHIPS[rig] + (state.attended ? ', attended' : ''));
   // Of a fault the whole stands above the parts.
-  setText(byId('rig-sentence'), rig === 'fault' ? named(state.sentence) : state.sentence ?? 'Nothing was heard from the driver yet.');
+  setText(byId('rig-sentence'), rig === 'fault' ? named(state.sentence) : state.sentence ?? 'The coil driver has not reported yet.');
   setText(byId('fact-latency'), withUnit(state.latency_ms, 1, 'ms'));
   setText(byId('fact-picture'), state.picture_age_ms == null ? '–' : `${age(state.picture_age_ms)} old`);
   setText(byId('fact-recording'), recording(state.recording));
@@ -37,9 +37,9 @@ const named = (sentence) => [...new Set([sentence.split(/ \(|: |; /)[0].replace(
 function showLost(seconds) {
   byId('rig-chip').dataset.state = 'unknown';
   setText(byId('rig-chip'), CHIPS.unknown);
-  setText(byId('rig-sentence'), 'No link to the cockpit’s node: what is shown is old, and nothing can be sent.');
+  setText(byId('rig-sentence'), 'No connection to the cockpit’s node: the page shows old data and cannot send.');
   setText(byId('fact-link'), `lost for ${age(seconds * 1000)}`);
-  document.title = 'no link · cockpit';
+  document.title = 'no connection · cockpit';
 }
 
 const recording = (now) => (now?.on ? `${clock(now.seconds)}, ${now.lost ?? 0} lost` : 'off');

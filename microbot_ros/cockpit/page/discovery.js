@@ -6,7 +6,7 @@ import { order } from './messages.js';
 import { clock, known, withUnit } from './numbers.js';
 
 const VERDICTS = {
-  consistent: 'Consistent: nothing is missing.', named: 'Named.', unnamed: 'Unnamed: something is missing that is in no list.',
+  consistent: 'Consistent: no effect was found.', named: 'Named.', unnamed: 'Unnamed: an effect is missing that is not in the library.',
 };
 
 export function discoveryPanel(link) {
@@ -44,7 +44,7 @@ function where({ running, left_s, of_s, folder, report }) {
   byId('discover-progress').hidden = !running;
   byId('discover-progress').value = running ? 1 - left_s / of_s : 0;
   const node = byId('discover-where');
-  const text = [running && `${clock(left_s)} left at most. It writes into`, !running && folder && 'It wrote into'].filter(Boolean).join(' ');
+  const text = [running && `At most ${clock(left_s)} left. Results in`, !running && folder && 'Results in'].filter(Boolean).join(' ');
   if (node.dataset.shown === text + report) return;
   node.dataset.shown = text + report;
   node.replaceChildren(text && `${text} ${folder}. `, ...(report
@@ -53,7 +53,7 @@ function where({ running, left_s, of_s, folder, report }) {
 
 function headline({ verdict, sentence, running }) {
   if (sentence) return VERDICTS[verdict] && !running ? `${VERDICTS[verdict]} ${sentence}` : sentence;
-  return VERDICTS[verdict] ?? (running ? 'Asking the rig.' : 'Nothing was asked yet.');
+  return VERDICTS[verdict] ?? (running ? 'Asking the rig.' : 'No requests yet.');
 }
 
 function oddsRow([name]) {

@@ -29,13 +29,13 @@ export class Drive {
       byId('controller').value = name;
     }
     setText(byId('controller-now'),
-      name ? `At work: ${name.replaceAll('_', ' ')}. ${summaries.get(name) ?? ''}` : 'No controller was heard yet.');
+      name ? `At work: ${name.replaceAll('_', ' ')}. ${summaries.get(name) ?? ''}` : 'No controller has reported yet.');
     setText(byId('stick-hint'), takes?.includes('joystick')
       ? 'Drag, or focus it and hold arrow keys or W A S D. A gamepad’s left stick steers too, its buttons stop. Let go, and the field goes to zero.'
-      : 'This controller is not steered by hand; teleop is: switch to it first.');
+      : 'This controller does not use the stick: switch to teleop first.');
     const { distance_um, done, driven, sentence } = controller;
     setText(byId('going'), [driven?.length && `Drives particle ${driven.join(', ')}.`, done ? 'Arrived.' : known(distance_um) && `${fixed(distance_um, 1)} µm to go.`,
-      sentence && `It says: ${sentence}.`].filter(Boolean).join(' '));
+      sentence && `Status: ${sentence}.`].filter(Boolean).join(' '));
     const all = (parameters ?? []).toSorted((a, b) => Boolean(a.read_only) - Boolean(b.read_only));
     const basic = (one) => !one.read_only && one.name.startsWith(`${name}.`);
     for (const [place, rows] of [['parameters', all.filter(basic)], ['parameters-all', all.filter((one) => !basic(one))]]) {

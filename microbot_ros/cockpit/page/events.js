@@ -39,8 +39,8 @@ const plain = (text) => text.replaceAll('`', '');
 
 // Cause and cure, a line each, where they are known.
 export function remedy({ cause, cure } = {}) {
-  return [cause && make('span', { class: 'remedy' }, `Because: ${plain(cause)}`),
-    cure && make('span', { class: 'remedy cure' }, `Do: ${plain(cure)}`)].filter(Boolean);
+  return [cause && make('span', { class: 'remedy' }, `Cause: ${plain(cause)}`),
+    cure && make('span', { class: 'remedy cure' }, `What to do: ${plain(cure)}`)].filter(Boolean);
 }
 
 // Above the parts, whichever is in view, while a fault stands.

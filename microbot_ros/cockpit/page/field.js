@@ -21,7 +21,7 @@ export function fieldPanel(link) {
   link.on('state', ({ field, currents_a }) => {
     show(field ?? {}, rows, arrows, scale);
     setText(byId('currents'), currents_a?.length
-      ? `Coil currents: ${currents_a.map((one) => fixed(one, 3)).join(', ')} A` : 'No coil currents heard yet.');
+      ? `Coil currents: ${currents_a.map((one) => fixed(one, 3)).join(', ')} A` : 'No coil currents received yet.');
   });
 }
 

@@ -24,7 +24,7 @@ export function macrosPanel(link) {
       const step = `“${name}”, step ${index + 1} of ${macro.length}`;
       say(`${step}, in ${pause_s.toFixed(1)} s.`);
       await new Promise((resolve) => { setTimeout(resolve, 1000 * pause_s); });
-      if (mine !== turn) return say(`${step}, was not done: ended by STOP, a fault or another macro.`);
+      if (mine !== turn) return say(`${step}, was not sent: ended by STOP, a fault or another macro.`);
       if (!await order(link, `Macro ${name}`, verb, fields)) return say(`${step}, was refused: the macro ends.`);
     }
     return say(`“${name}” is done.`);
@@ -38,7 +38,7 @@ export function macrosPanel(link) {
   byId('keep-form').onsubmit = (event) => {
     event.preventDefault();
     if (steps?.length) change(byId('macro-name').value.trim(), steps);
-    say(steps ? `${steps.length} steps kept.` : 'What you ask for from now on is kept, with the pauses.');
+    say(steps ? `${steps.length} steps kept.` : 'All commands from now on are kept, with their pauses.');
     steps = steps ? null : [];
     last = performance.now();
     setText(byId('macro-keep'), steps ? 'Save macro' : 'Keep what I do');

@@ -66,6 +66,6 @@ link.on('particles', (message) => {
   overlay.show(view.camera ? picture.stamp : message.stamp);
 });
 link.on('state', (state) => overlay.hear(state));
-link.on('lost', () => say('refused', 'The link to the cockpit’s node is lost.', 'link'));
+link.on('lost', () => say('refused', 'The connection to the cockpit’s node is lost.', 'link'));
 link.on('refused', (reason) => say('refused', reason));
-link.on('up', () => say('note', 'Linked to the cockpit’s node.', 'link'));
+link.on('up', () => say('note', 'Connected to the cockpit’s node.', 'link'));

@@ -5,7 +5,7 @@ import { order, say } from './messages.js';
 
 const MODES = {
   choose: ['Choose', 'Click a particle to see its estimates; the wheel zooms, dragging moves the picture. By keyboard: arrow keys move the cross, Shift in small steps, Enter clicks.'],
-  goal: ['Goal', 'Click where to go. The mark appears once the controller has taken it.'],
+  goal: ['Goal', 'Click the goal. Its mark appears when the controller has accepted it.'],
   path: ['Path', 'Draw with the pointer held down: it is sent when you let go. Or click corner by corner (Backspace takes one back), then send.'],
   like: ['Teach: this', 'Click something the tracker should find from now on.'],
   unlike: ['Teach: not this', 'Click something the tracker should leave out from now on.'],
@@ -132,8 +132,8 @@ export class Pointing {
       const [found] = this.overlay.nearest(pageX, pageY);
       if (found && found.distance <= NEAR) this.choose(found.particle.id);
     } else if (!this.control.mine) {
-      say('refused', this.link.up ? 'Another page has control: this one may only look.'
-        : 'There is no link to the rig.');
+      say('refused', this.link.up ? 'Another page has control; this page can only watch.'
+        : 'No connection to the rig.');
     } else if (this.mode === 'goal') this.#goal(x, y);
     else if (this.mode === 'path') this.#setPoints([...this.points, [x, y]]);
     else this.#teach(x, y, stamp);
@@ -165,7 +165,7 @@ export class Pointing {
 
   #micrometres(points) {
     if (this.view.matrix) return points.map(([x, y]) => this.view.toMicrometres(x, y));
-    say('refused', 'The camera has not said how large its pixels are: no place can be told.');
+    say('refused', 'The pixel size is not known yet: positions cannot be shown.');
     return null;
   }
 

@@ -30,7 +30,7 @@ export function recordingPanel(link) {
 }
 
 function said(recording) {
-  if (!recording) return 'Nothing was heard from the recorder yet.';
+  if (!recording) return 'The recorder has not reported yet.';
   if (!recording.on) return 'Not recording.';
   const title = recording.title ? ` “${recording.title}”` : '';
   return `● Recording${title} for ${clock(recording.seconds)}, ${recording.lost ?? 0} messages lost.`;
@@ -39,7 +39,7 @@ function said(recording) {
 async function list() {
   const found = await fetch('/recordings').then((answer) => answer.json()).catch(() => null);
   if (!found) return;
-  setText(byId('recordings-now'), found.length ? '' : 'None in the folder of this cockpit yet.');
+  setText(byId('recordings-now'), found.length ? '' : 'No recordings in the folder of this cockpit yet.');
   keyed(byId('recordings'), found, (one) => JSON.stringify(one), row);
 }
 

@@ -34,7 +34,7 @@ export class Link {
   // Send a verb; resolves to the node's {ok, reason}, to STOP also {zero}; at once where nothing can
   // be sent.
   ask(verb, fields = {}) {
-    if (!this.up) return Promise.resolve({ ok: false, reason: 'there is no link to the rig' });
+    if (!this.up) return Promise.resolve({ ok: false, reason: 'no connection to the rig' });
     const id = ++this.lastId;
     this.#say('asked', { verb, fields });
     return new Promise((resolve) => {
@@ -96,7 +96,7 @@ export class Link {
     this.up = false;
     if (wasUp) this.#say('lost');
     for (const resolve of this.asked.values()) {
-      resolve({ ok: false, reason: 'the link was lost before an answer came' });
+      resolve({ ok: false, reason: 'the connection was lost before the answer arrived' });
     }
     this.asked.clear();
     this.socket = null;

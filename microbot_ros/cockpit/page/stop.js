@@ -63,8 +63,8 @@ export class Stopper {
       }
       show(zero ?? 'unreachable');
       say('refused', `STOP: ${reason}. ${BY_HAND}`, 'stop');
-      alarm(zero === 'sent' ? `The zero was sent, and no reading confirms it. STOP goes on. ${BY_HAND}`
-        : `The coils may carry current. STOP goes on. ${BY_HAND}`);
+      alarm(zero === 'sent' ? `The zero was sent, but no reading confirms it. STOP is repeated. ${BY_HAND}`
+        : `The coils may carry current. STOP is repeated. ${BY_HAND}`);
       await new Promise((resolve) => { setTimeout(resolve, AGAIN_MS); });
     }
   }
@@ -79,8 +79,8 @@ export class Stopper {
   #unsent() {
     this.#going = false;
     show(null);
-    say('refused', `STOP could not be sent: there is no link to the rig. ${BY_HAND}`, 'stop');
-    alarm(`STOP could not be sent: there is no link to the rig. ${BY_HAND}`);
+    say('refused', `STOP could not be sent: no connection to the rig. ${BY_HAND}`, 'stop');
+    alarm(`STOP could not be sent: no connection to the rig. ${BY_HAND}`);
   }
 
   // What the driver says of itself, while no STOP of this page goes on.

@@ -28,8 +28,8 @@ class Assignment:
         if same and np.array_equal(_ids(goals), _ids(kept)):
             return False
         goals_in_reach(inputs)
-        if len(goals) and not len(inputs.ids):
-            raise ParticleLostError('no particle is seen')
+        if len(goals):
+            inputs.require_particles()
         self._goals = goals
         self._ids = np.sort(inputs.ids)[:len(goals)] if goals.ids is None else goals.ids
         return True
@@ -42,7 +42,7 @@ class Assignment:
         """
         _, rows, goals = np.intersect1d(inputs.ids, self._ids, return_indices=True)
         if len(self._ids) and not len(rows):
-            raise ParticleLostError('none of the particles that have goals is seen')
+            raise ParticleLostError('no particle with a goal is tracked')
         return rows, self._goals.position[goals]
 
 

@@ -94,16 +94,16 @@ class SingleTurns:
         made = (moved / ways[:, None]).reshape(2, len(self.ticks), -1).mean(0).T
         slow = made[:, :_ALL_FOLLOW].mean(1)
         if not (np.abs(slow) > LEAST_TURN).all():
-            raise NoSolutionError(f'number {np.argmin(np.abs(slow))} of the particles does not '
-                                  'roll')
+            raise NoSolutionError(f'particle number {np.argmin(np.abs(slow))} has no rolling '
+                                  'speed in the model')
         part = (made / slow[:, None]).real
         follows = part > 0.5
         clear = (np.abs(part - follows) < _CLEAR).all(0)
         same = (follows[:, None] == follows).all(-1) & ~np.eye(len(follows), dtype=bool)
         if same.any():
             a, b = np.argwhere(same)[0]
-            raise NoSolutionError(f'numbers {a} and {b} of the particles step out at so much the '
-                                  'same frequency that no field tells them apart')
+            raise NoSolutionError(f'particles number {a} and {b} have step-out frequencies too '
+                                  'similar to be driven apart')
         gain = (made * follows).sum(1) / follows.sum(1)
         self.answer = np.where(clear, np.where(follows, gain[:, None], 0j), made)
         self._gladly = np.where(clear, 1.0, _UNCLEAR)

@@ -72,7 +72,8 @@ def find_ways(start: np.ndarray, goal: np.ndarray, room: Room,
         if ways is not None:
             return (yield from _tightened(ways, room))
         order = rng.permutation(order)
-    raise NoSolutionError('found no ways to all goals, past each other and the walls')
+    raise NoSolutionError('found no paths to all goals that avoid the other particles and the '
+                          'walls')
 
 
 class _Search:

@@ -18,7 +18,6 @@ from microbot_ros.control.contract import (
     Controller,
     ControllerInput,
     FieldCommand,
-    ModelError,
     Progress,
     no_field,
 )
@@ -38,13 +37,15 @@ class SharedFieldParameters:
 
     field_mT: float = setting(5.0, 'Strength of the field.', lower=0.01, upper=100.0)
     hold_radius_um: float = setting(
-        1.0, 'Radius of the circles in which particles wait at the end.', lower=0.1, upper=100.0)
+        1.0, 'Radius of the circles on which particles wait at the end.', lower=0.1, upper=100.0)
     margin_um: float = setting(
-        5.0, 'Particles are kept this far inside the workspace.', lower=0.0, upper=1000.0)
+        5.0, 'Distance that particles keep from the edge of the '
+             'workspace.', lower=0.0, upper=1000.0)
     learn_phi_std_rad: float = setting(
-        0.2, 'Particles take part once φ is known this well.', lower=0.01, upper=1.5)
+        0.2, 'Uncertainty of φ below which a particle takes part.', lower=0.01, upper=1.5)
     learn_leg_s: float = setting(
-        1.0, 'Until the first takes part: time on each side of a triangle.',
+        1.0, 'Time on each side of the triangle that is driven until the first particle takes '
+             'part.',
         lower=0.1, upper=60.0)
 
 
@@ -96,8 +97,7 @@ class SharedField(Controller):
     def activate(self, inputs: ControllerInput) -> None:
         """Raise ModelError if `inputs` are of rollers, for which there are better controllers."""
         self._excitation.stop()
-        if inputs.model is not None and inputs.model.propulsion == 'rolling':
-            raise ModelError('drives particles that propel themselves; the model is of rollers')
+        inputs.refuse_rollers()
 
     @abstractmethod
     def involved(self, inputs: ControllerInput) -> np.ndarray:
@@ -112,7 +112,7 @@ class SharedField(Controller):
         p: Any = self.parameters
         rows = self.involved(inputs)
         if not len(rows):
-            return no_field('waits for goals')
+            return no_field('waiting for goals')
         strength = units.to_si('field_mT', p.field_mT)
         known = inputs.learned(p.learn_phi_std_rad)[rows] & (inputs.speed[rows] > 0)
         if not known.any():
@@ -139,7 +139,7 @@ class Ensemble(SharedField):
     """
 
     interface_version = 1
-    summary = 'All particles as near to their goals as one field allows.'
+    summary = 'Bring all particles as near to their goals as one field allows.'
     takes = ANY_GOALS
 
     def reset(self) -> None:

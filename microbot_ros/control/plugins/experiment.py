@@ -22,7 +22,7 @@ class Experiment(Controller):
     """
 
     interface_version = 1
-    summary = 'A plan of fields that comes by topic, played once.'
+    summary = 'Play a plan of fields, received by topic, once.'
     takes = frozenset({Input.PLAN})
 
     def __init__(self) -> None:

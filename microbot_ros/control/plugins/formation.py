@@ -24,8 +24,9 @@ class FormationParameters(SharedFieldParameters):
     """The shape, besides the parameters of all that share a field."""
 
     shape: str = setting(
-        'gather', 'gather: together; spread: apart; carry: as they are, to the goal; or the '
-        'shape to arrange them in.', choices=SHAPES)
+        'gather', 'gather: move together; spread: move apart; carry: move to the '
+                  'goal in their present arrangement; line, ring, grid: that '
+                  'shape.', choices=SHAPES)
     spacing_um: float = setting(
         20.0, 'Distance of neighbours in a line, ring or grid.', lower=1.0, upper=1000.0)
 

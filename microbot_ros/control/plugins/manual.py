@@ -31,7 +31,7 @@ class ManualParameters:
         90.0, 'Half the angle ψ of the cone on which a field goes round the axis: 90 is a disc.',
         lower=0.0, upper=90.0)
     frequency_hz: float = setting(
-        0.0, 'Rotation frequency, right-handed; at 0 the field stands along the axis.',
+        0.0, 'Rotation frequency, right-handed; at 0 the field is static along the axis.',
         lower=0.0, upper=1000.0)
 
 
@@ -43,7 +43,7 @@ class Manual(Controller):
     """
 
     interface_version = 1
-    summary = 'A field set by hand, standing or turning, in three axes.'
+    summary = 'Apply a field set by hand, static or rotating, in three axes.'
     takes = frozenset[Input]()
     Parameters = ManualParameters
 
@@ -56,9 +56,9 @@ class Manual(Controller):
         axis = np.array([math.sin(gamma) * math.cos(alpha), math.sin(gamma) * math.sin(alpha),
                          math.cos(gamma)])
         if not frequency:
-            return FieldCommand(strength * axis, progress=Progress('the field stands'))
+            return FieldCommand(strength * axis, progress=Progress('the field is static'))
         psi = math.radians(p.psi_deg)
         across = np.array([-math.sin(alpha), math.cos(alpha), 0.0])
         field = strength * (math.cos(psi) * axis + math.sin(psi) * across)
-        return FieldCommand(field, frequency, Progress(f'the field turns at {frequency:g} Hz'),
+        return FieldCommand(field, frequency, Progress(f'the field rotates at {frequency:g} Hz'),
                             axis=axis)

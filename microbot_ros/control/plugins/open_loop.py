@@ -28,9 +28,9 @@ class OpenLoopParameters:
     """Either the two lists or a file."""
 
     directions_deg: list[float] = setting(
-        [0.0, 120.0, 240.0], 'Directions of the field, one after the other.')
+        [0.0, 120.0, 240.0], 'Directions of the field, in sequence.')
     durations_s: list[float] = setting(
-        [2.0, 2.0, 2.0], 'How long each direction is held.', lower=0.01, upper=3600.0)
+        [2.0, 2.0, 2.0], 'Time that each direction is held.', lower=0.01, upper=3600.0)
     field_mT: float = setting(5.0, 'Strength of the field.', lower=0.0, upper=100.0)
     frequency_hz: float = setting(
         0.0, 'Rotation frequency for rollers.', lower=0.0, upper=1000.0)
@@ -43,7 +43,7 @@ class OpenLoop(Controller):
     """Each row of the list holds until the next; after the last one the field is zero."""
 
     interface_version = 1
-    summary = 'A timed list of directions.'
+    summary = 'Play a timed list of field directions.'
     takes = frozenset[Input]()
     Parameters = OpenLoopParameters
 
@@ -105,7 +105,7 @@ def _from_file(parameters: OpenLoopParameters) -> tuple[Commands, float]:
         Path(parameters.file), Layout(('t_s', 'bx_mT', 'by_mT')),
         Layout(('t_s', 'direction_rad', 'frequency_hz')))
     t = table.columns['t_s'] - table.columns['t_s'][0]
-    table.refuse(np.diff(t, prepend=-1.0) <= 0, 'expected times that rise')
+    table.refuse(np.diff(t, prepend=-1.0) <= 0, 'expected ascending times')
     last = np.diff(t)[-1] if len(t) > 1 else 1.0
     if 'bx_mT' in table.columns:
         field = np.column_stack((table.columns['bx_mT'], table.columns['by_mT']))

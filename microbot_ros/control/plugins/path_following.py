@@ -17,7 +17,6 @@ from microbot_ros.control.contract import (
     FieldCommand,
     GoalError,
     Input,
-    ParticleLostError,
     Progress,
     no_field,
 )
@@ -34,7 +33,7 @@ class PathFollowingParameters:
         -1, 'Particle to drive; -1 takes the one nearest to the path.', lower=-1, upper=2**31 - 1)
     field_mT: float = setting(5.0, 'Strength of the field.', lower=0.01, upper=100.0)
     lookahead_um: float = setting(
-        1.0, 'Cross-track error is undone within about this length.', lower=0.1, upper=1000.0)
+        1.0, 'Length over which a cross-track error is corrected.', lower=0.1, upper=1000.0)
     hold_radius_um: float = setting(
         1.0, 'Radius of the circle around the end of an open path.', lower=0.1, upper=100.0)
     learn_leg_s: float = setting(
@@ -51,7 +50,7 @@ class PathFollowing(Controller):
     """
 
     interface_version = 1
-    summary = 'One particle along a path, against drift.'
+    summary = 'Drive one particle along a path, against drift.'
     takes = frozenset({Input.PATH})
     Parameters = PathFollowingParameters
 
@@ -79,7 +78,7 @@ class PathFollowing(Controller):
         """Return a field along the path of `inputs`, or a triangle until the response is known."""
         self._take_path(inputs)
         if self._route is None:
-            return no_field('waits for a path')
+            return no_field('waiting for a path')
         p, compensator = self.parameters, self._compensator
         row = self._choose(inputs, self._route)
         place, particles = compensator.look(inputs, row), inputs.ids[row:row + 1]
@@ -106,8 +105,7 @@ class PathFollowing(Controller):
         self._path, self._along = inputs.path, None
 
     def _choose(self, inputs: ControllerInput, route: Route) -> int:
-        if not len(inputs.ids):
-            raise ParticleLostError('no particle is seen')
+        inputs.require_particles()
         particle = self.parameters.particle
         if particle < 0:
             particle = self._particle

@@ -46,9 +46,11 @@ class PolicyParameters:
     field_mT: float = setting(
         5.0, 'Strength of the field while the policy does not drive.', lower=0.01, upper=100.0)
     learn_phi_std_rad: float = setting(
-        0.2, 'The policy drives once φ of all is known this well.', lower=0.01, upper=1.5)
+        0.2, 'Uncertainty of φ of every particle below which the policy '
+             'drives.', lower=0.01, upper=1.5)
     learn_leg_s: float = setting(
-        1.0, 'Until then, and at the end: time on each side of a triangle.', lower=0.1,
+        1.0, 'Time on each side of the triangle that is driven before the policy starts and after '
+             'it ends.', lower=0.1,
         upper=60.0)
 
 
@@ -60,7 +62,7 @@ class Policy(Controller):
     """
 
     interface_version = 1
-    summary = 'A learned policy brings each particle to its goal once.'
+    summary = 'Drive each particle to its goal once, by a learned policy.'
     takes = ANY_GOALS
     Parameters = PolicyParameters
 
@@ -79,8 +81,7 @@ class Policy(Controller):
         self._excitation.stop()
         if self._policy is None:
             raise ModelError(_NO_FILE)
-        if inputs.model is not None and inputs.model.propulsion == 'rolling':
-            raise ModelError('drives particles that propel themselves; the model is of rollers')
+        inputs.refuse_rollers()
 
     def reset(self) -> None:
         """Forget the goals and which have been reached."""
@@ -92,7 +93,7 @@ class Policy(Controller):
         p, policy, task = self.parameters, self._policy, self._task
         rows = task.rows(inputs)
         if not len(rows):
-            return no_field('waits for goals')
+            return no_field('waiting for goals')
         if policy is None:
             raise ModelError(_NO_FILE)
         if len(rows) != policy.particles:
@@ -102,8 +103,8 @@ class Policy(Controller):
         known = inputs.learned(p.learn_phi_std_rad)[rows] & (inputs.speed[rows] > 0)
         shown = task.observation(inputs) if known.all() else None
         done = not task.waiting.any()
-        progress = Progress(f'{np.sum(~task.waiting)} of {len(rows)} particles have been at '
-                            'their goals', done)
+        progress = Progress(f'{np.sum(~task.waiting)} of {len(rows)} particles have reached their '
+                            'goals', done)
         if shown is None or done:
             command = self._excitation.command(
                 inputs, p.learn_leg_s, units.to_si('field_mT', p.field_mT), particles=particles)
@@ -112,7 +113,7 @@ class Policy(Controller):
         action = policy.answer(shown)
         field = wanted_field(action, inputs.limits.field)
         if not np.isfinite(field).all():
-            raise NoSolutionError(f'the policy answered {action.tolist()}')
+            raise NoSolutionError(f'the policy returned {action.tolist()}, not a finite field')
         return FieldCommand(field, progress=progress, particles=particles)
 
 

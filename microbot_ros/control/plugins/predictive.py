@@ -44,7 +44,7 @@ SEARCHED_AT_ONCE = 2
 TRUST = 0.1
 """Choice: part of the difference to a measured heading that is adopted at each tick."""
 
-NO_MODEL = 'plans with a model; none is loaded: set model_file, as `microbot discover` writes it'
+NO_MODEL = 'needs a model: set model_file to a model.yaml of `microbot discover`'
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,11 @@ class PredictiveParameters(SharedFieldParameters):
     """Limits and weights of the task, and particle data that the model file lacks."""
 
     alignment_times_s: list[float] = setting(
-        [0.0], 'Alignment time of particles 0, 1, 2, … at the reference field; 0, or beyond the '
-        'list: what the model says.', lower=0.0, upper=30.0)
+        [0.0], 'Alignment time of particles 0, 1, 2, … at the reference field; 0 or missing: the '
+               'value of the model.', lower=0.0, upper=30.0)
     obstacles_um: list[float] = setting(
-        [0.0, 0.0, 0.0], 'x, y and radius of each obstacle, one after the other; margin_um is '
-        'kept from them; radius 0: none.',
+        [0.0, 0.0, 0.0], 'x, y and radius of each obstacle, in sequence; particles keep margin_um '
+                         'from them; radius 0: no obstacle.',
         lower=-10000.0, upper=10000.0)
     impatience_um_s: float = setting(
         0.1, 'Final error that counts as much as one second.', lower=0.0, upper=10.0)
@@ -78,7 +78,7 @@ class Predictive(Ensemble):
     """
 
     interface_version = 1
-    summary = 'All particles to their goals by planning with all the model knows.'
+    summary = 'Drive all particles to their goals by planning with the full model.'
     takes = ANY_GOALS
     Parameters = PredictiveParameters
     repeatable = False

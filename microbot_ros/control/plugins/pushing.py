@@ -14,7 +14,6 @@ from microbot_ros.control.contract import (
     ControllerInput,
     FieldCommand,
     Input,
-    ModelError,
     ParticleLostError,
     Progress,
     no_field,
@@ -40,21 +39,27 @@ class PushingParameters(PathFollowingParameters):
     """The bead, the roller, and how it pushes."""
 
     particle: int = setting(
-        -1, 'The bead; -1 takes the particle nearest to the path.', lower=-1, upper=2**31 - 1)
+        -1, 'Particle that is the bead; -1 takes the particle nearest to the '
+            'path.', lower=-1, upper=2**31 - 1)
     lookahead_um: float = setting(
-        8.0, "The bead's cross-track error is undone within about this length.",
+        8.0, 'Length over which a cross-track error of the bead is corrected.',
         lower=0.1, upper=1000.0)
     pusher: int = setting(
-        -1, 'The roller; -1 takes the particle nearest to the bead.', lower=-1, upper=2**31 - 1)
+        -1, 'Particle that is the roller; -1 takes the particle nearest to the '
+            'bead.', lower=-1, upper=2**31 - 1)
     apart_um: float = setting(
         4.6, 'Distance of the centres when the two touch.', lower=0.1, upper=1000.0)
     arrival_um: float = setting(
-        1.0, 'An open path is done when so little of it is left.', lower=0.05, upper=1000.0)
+        1.0, 'Remaining length of an open path at which it counts as '
+             'done.', lower=0.05, upper=1000.0)
     round_um: float = setting(
-        10.0, 'Distance of the centres when the roller goes round.', lower=0.2, upper=1000.0)
-    pushing_hz: float = setting(4.0, 'Frequency when it pushes.', lower=0.01, upper=1000.0)
+        10.0, 'Distance of the centres while the roller moves around the '
+              'bead.', lower=0.2, upper=1000.0)
+    pushing_hz: float = setting(4.0, 'Rotation frequency while the '
+                                     'roller pushes.', lower=0.01, upper=1000.0)
     fastest_hz: float = setting(
-        5.0, 'Frequency on the way to the bead, below the step-out.', lower=0.01, upper=1000.0)
+        5.0, 'Rotation frequency on the way to the bead, below the '
+             'step-out.', lower=0.01, upper=1000.0)
 
 
 class Pushing(PathFollowing):
@@ -66,7 +71,7 @@ class Pushing(PathFollowing):
     path.
     """
 
-    summary = 'One roller pushes a bead along a path.'
+    summary = 'Push a bead along a path with one roller.'
     takes = frozenset({Input.PATH})
     Parameters = PushingParameters
 
@@ -86,8 +91,7 @@ class Pushing(PathFollowing):
 
     def activate(self, inputs: ControllerInput) -> None:
         """Raise ModelError for `inputs` without a model of rollers."""
-        if inputs.model is None or inputs.model.propulsion != 'rolling':
-            raise ModelError('drives rollers: set model_file to one that says propulsion: rolling')
+        inputs.require_rollers()
         super().activate(inputs)
         self._pushes = False
 
@@ -95,7 +99,7 @@ class Pushing(PathFollowing):
         """Return for `inputs` a push, or a move to the place behind the bead."""
         self._take_path(inputs)
         if self._route is None:
-            return no_field('waits for a path')
+            return no_field('waiting for a path')
         p, compensator = self.parameters, self._compensator
         bead = self._choose(inputs, self._route)
         row = self._choose_pusher(inputs, bead)
@@ -128,7 +132,8 @@ class Pushing(PathFollowing):
                 away[bead] = np.inf
                 pusher = int(inputs.ids[np.argmin(away)])
         if pusher == inputs.ids[bead]:
-            raise ParticleLostError(f'nobody is seen who could push particle {pusher}')
+            raise ParticleLostError('no other particle is tracked that could push particle '
+                                    f'{pusher}')
         self._pusher = pusher
         return inputs.index(pusher)
 

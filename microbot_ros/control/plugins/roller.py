@@ -12,7 +12,6 @@ from microbot_ros.control.contract import (
     ANY_GOALS,
     ControllerInput,
     FieldCommand,
-    ModelError,
     no_field,
 )
 from microbot_ros.control.steering.courses import field_along
@@ -27,9 +26,9 @@ class RollerParameters(GoalControllerParameters):
     """The particle, its speed and accuracy."""
 
     arrival_um: float = setting(
-        0.5, 'A goal counts as reached from this close.', lower=0.05, upper=1000.0)
+        0.5, 'Distance below which a goal counts as reached.', lower=0.05, upper=1000.0)
     slowest_hz: float = setting(
-        0.5, 'Below this frequency particles do not roll evenly.', lower=0.0, upper=1000.0)
+        0.5, 'Lowest frequency used; below it particles roll unevenly.', lower=0.0, upper=1000.0)
     fastest_hz: float = setting(
         5.0, 'Highest frequency used, below the step-out.', lower=0.01, upper=1000.0)
     braking_s: float = setting(
@@ -44,7 +43,7 @@ class Roller(GoalControllerBase):
     """
 
     interface_version = 1
-    summary = 'One rolling particle to a goal or through a list.'
+    summary = 'Drive one rolling particle to a goal or through a list of goals.'
     takes = ANY_GOALS
     Parameters = RollerParameters
     rolling = True
@@ -59,8 +58,7 @@ class Roller(GoalControllerBase):
     def activate(self, inputs: ControllerInput) -> None:
         """Raise ModelError for `inputs` without a model of rollers."""
         super().activate(inputs)
-        if inputs.model is None or inputs.model.propulsion != 'rolling':
-            raise ModelError('drives rollers: set model_file to one that says propulsion: rolling')
+        inputs.require_rollers()
 
     def fastest(self, inputs: ControllerInput) -> float:
         """Return the highest frequency [Hz] for `inputs`."""

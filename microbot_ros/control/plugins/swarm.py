@@ -20,7 +20,6 @@ from microbot_ros.control.contract import (
     ControllerError,
     ControllerInput,
     FieldCommand,
-    ModelError,
     NoSolutionError,
     ParticleLostError,
     Progress,
@@ -50,24 +49,26 @@ class SwarmParameters:
     """The rollers, the walls, and the distances to keep."""
 
     field_mT: float = setting(
-        5.0, 'Strength of the field, at which the step-outs are meant.', lower=0.01, upper=100.0)
+        5.0, 'Strength of the field, for which the step-out frequencies '
+             'hold.', lower=0.01, upper=100.0)
     slowest_hz: float = setting(
-        4.5, 'All particles follow the field up to this frequency.', lower=0.01, upper=1000.0)
+        4.5, 'Frequency up to which all particles follow the field.', lower=0.01, upper=1000.0)
     fastest_hz: float = setting(
-        40.0, 'Highest frequency used, beyond which hardly any follows.', lower=0.01,
+        40.0, 'Highest frequency used; hardly any particle follows beyond it.', lower=0.01,
         upper=1000.0)
     radius_um: float = setting(2.3, 'Radius of the particles.', lower=0.1, upper=100.0)
     walls_um: list[float] = setting(
-        [0.0, 0.0, 0.0, 0.0], 'x, y of one end and x, y of the other of each straight wall, one '
-        'after the other; ends that are the same: none.', lower=-10000.0, upper=10000.0)
+        [0.0, 0.0, 0.0, 0.0], 'Straight walls: x, y of one end and x, y of the '
+                              'other end of each, in sequence; equal ends: no '
+                              'wall.', lower=-10000.0, upper=10000.0)
     apart_um: float = setting(
-        12.0, 'Room that plans leave between two particles, from surface to surface.',
+        12.0, 'Gap that plans leave between two particles, surface to surface.',
         lower=0.0, upper=1000.0)
     off_walls_um: float = setting(
-        7.0, 'Room that plans leave between a particle and a wall or the edge of the view.',
+        7.0, 'Gap that plans leave between a particle and a wall or the edge of the view.',
         lower=0.0, upper=1000.0)
     arrival_um: float = setting(
-        3.0, 'A goal counts as reached from this close.', lower=0.05, upper=1000.0)
+        3.0, 'Distance below which a goal counts as reached.', lower=0.05, upper=1000.0)
 
 
 class Swarm(Controller):
@@ -80,7 +81,7 @@ class Swarm(Controller):
     """
 
     interface_version = 1
-    summary = 'Many rollers, each to its own goal, by frequencies at which they step out.'
+    summary = 'Drive many rollers, each to its own goal, by frequencies at which they step out.'
     takes = ANY_GOALS
     Parameters = SwarmParameters
 
@@ -124,8 +125,7 @@ class Swarm(Controller):
 
     def activate(self, inputs: ControllerInput) -> None:
         """Raise ModelError for `inputs` without a model of rollers."""
-        if inputs.model is None or inputs.model.propulsion != 'rolling':
-            raise ModelError('drives rollers: set model_file to one that says propulsion: rolling')
+        inputs.require_rollers()
         self._forget()
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
@@ -136,7 +136,7 @@ class Swarm(Controller):
             self._begin_anew()
         if not len(self._assignment.pairs(inputs)[0]):
             self._stop()
-            return no_field('waits for goals')
+            return no_field('waiting for goals')
         try:
             return self._drive(inputs)
         except ParticleLostError:
@@ -147,7 +147,7 @@ class Swarm(Controller):
 
     def _drive(self, inputs: ControllerInput) -> FieldCommand:
         if self._turns is None and not self._ready(inputs):
-            return no_field('sees how often frames come')
+            return no_field('measuring the frame rate')
         here = self._look(inputs)
         if not self._orders:
             self._note_leg(here)
@@ -163,12 +163,13 @@ class Swarm(Controller):
 
     def _progress(self, here: np.ndarray) -> Progress:
         if self._search is None:
-            return Progress(f'sees which turns {len(here)} rollers follow')
+            return Progress(f'measuring which rotations {len(here)} rollers follow')
         if self._ways is None:
-            return Progress('looks for ways')
+            return Progress('planning paths')
         far = float(np.abs(here - self._ways.end).max())
-        return Progress(f'{len(here)} rollers, {self._ways.left:.0f} s of legs before them, the '
-                        f'last {far * 1e6:.1f} µm from its goal', self._arrived, far)
+        return Progress(f'{len(here)} rollers, {self._ways.left:.0f} s to '
+                        f'go, the farthest {far * 1e6:.1f} µm from its '
+                        'goal', self._arrived, far)
 
     def _ready(self, inputs: ControllerInput) -> bool:
         """Measure the frame interval; then prepare the survey and return True."""
@@ -300,7 +301,7 @@ class Swarm(Controller):
         """Return all positions (N,) [m]; ParticleLostError if one is not tracked."""
         lost = np.setdiff1d(self._ids, inputs.ids)
         if lost.size:
-            raise ParticleLostError(f'particle {lost[0]} is not seen')
+            raise ParticleLostError(f'particle {lost[0]} is not tracked')
         order = np.argsort(inputs.ids)
         rows = order[np.searchsorted(inputs.ids, self._ids, sorter=order)]
         return as_complex(inputs.position[rows])

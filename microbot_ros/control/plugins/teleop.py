@@ -24,13 +24,13 @@ class TeleopParameters:
     """What the joystick moves."""
 
     particle: int = setting(
-        -1, 'Particle that goes where the stick points; -1 lets the field point there.',
+        -1, 'Particle that moves where the stick points; -1: the field points there.',
         lower=-1, upper=2**31 - 1)
     field_mT: float = setting(5.0, 'Strength of the field.', lower=0.01, upper=100.0)
     frequency_hz: float = setting(
         0.0, 'Rotation frequency for rollers at full deflection.', lower=0.0, upper=1000.0)
     dead_zone: float = setting(
-        0.15, 'Deflection (0 to 1) that counts as none.', lower=0.0, upper=0.9)
+        0.15, 'Deflection (0 to 1) below which the stick counts as centred.', lower=0.0, upper=0.9)
 
 
 class Teleop(Controller):
@@ -51,13 +51,13 @@ class Teleop(Controller):
         p = self.parameters
         deflection = min(math.hypot(*inputs.joystick), 1.0)
         if not deflection > p.dead_zone:
-            return no_field('the stick is at rest')
+            return no_field('the stick is centred')
         angle = math.atan2(inputs.joystick[1], inputs.joystick[0])
         particles = None
         if p.particle >= 0:
             row = inputs.index(p.particle)
             if not math.isfinite(inputs.phi[row]):
-                raise NotLearnedError(f'how particle {p.particle} answers is not known yet')
+                raise NotLearnedError(f'v and φ of particle {p.particle} are not known yet')
             angle -= float(inputs.phi[row])
             particles = inputs.ids[row:row + 1]
         strength = units.to_si('field_mT', p.field_mT)

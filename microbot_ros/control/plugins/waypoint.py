@@ -29,7 +29,7 @@ class Waypoint(GoalControllerBase):
     """
 
     interface_version = 1
-    summary = 'One particle to a goal or through a list.'
+    summary = 'Drive one particle to a goal or through a list of goals.'
     takes = ANY_GOALS
     Parameters = WaypointParameters
 

@@ -45,7 +45,7 @@ def kept_in_view(inputs: ControllerInput, command: FieldCommand, horizon: float)
     if turned == u:
         return command
     field = field_along(inputs, cmath.phase(turned), float(np.hypot(*command.field)))
-    message = f'{command.progress.message}; turned, for a particle is about to leave the view'
+    message = f'{command.progress.message}; turned: a particle is about to leave the view'
     progress = dataclasses.replace(command.progress, message=message)
     return dataclasses.replace(command, field=field, progress=progress)
 

@@ -30,9 +30,10 @@ class GoalControllerParameters:
         lower=-1, upper=2**31 - 1)
     field_mT: float = setting(5.0, 'Strength of the field.', lower=0.01, upper=100.0)
     arrival_um: float = setting(
-        2.0, 'A goal counts as reached from this close.', lower=0.05, upper=1000.0)
+        2.0, 'Distance below which a goal counts as reached.', lower=0.05, upper=1000.0)
     learn_leg_s: float = setting(
-        1.0, 'Until it is known how the particle answers: time on each side of a triangle.',
+        1.0, 'Time on each side of the triangle that is driven until v and φ of the particle are '
+             'known.',
         lower=0.1, upper=60.0)
 
 

@@ -8,7 +8,6 @@ from microbot_ros.control.contract import (
     NO_PLACES,
     ControllerInput,
     Goals,
-    ParticleLostError,
     Workspace,
 )
 from microbot_ros.control.steering.courses import goals_in_reach
@@ -65,8 +64,7 @@ class GoalSequence:
     def row(self, inputs: ControllerInput) -> int:
         """Return the particle's row of `inputs`; ParticleLostError if there is none."""
         if not self._named and self.particle not in inputs.ids:
-            if not len(inputs.ids):
-                raise ParticleLostError('no particle is seen')
+            inputs.require_particles()
             near = self._position[self._next] if self._seen is None else self._seen
             away = np.hypot(*(inputs.position - near).T)
             self.particle = int(inputs.ids[np.argmin(away)])

@@ -155,14 +155,15 @@ def coil_map(session: Session) -> CoilMap:
     """
     name = session.name or 'session'
     if session.conditions.propulsion != 'catalytic':
-        raise InputError(name, 'expected catalytic particles, which swim along the field; found '
+        raise InputError(name, 'expected catalytic particles, which move along the field; found '
                                f'{session.conditions.propulsion}')
     fit = _fit(session)
     mirrored = replace(session.commands, field=session.commands.field * (1.0, -1.0))
     if _fit(replace(session, commands=mirrored)).cost < fit.cost - CLEARLY:
-        raise InputError(name, 'expected particles that turn the way of the command; they turn '
-                         'the other way: a pair of coils is reversed, or bx_mT and by_mT are '
-                         'swapped, or the image is mirrored, and tracks can’t tell which')
+        raise InputError(name, 'expected particles that turn with the command; they turn '
+                               'against it: a pair of coils is reversed, or bx_mT and by_mT '
+                               'are swapped, or the image is mirrored. Tracks cannot tell '
+                               'which')
     covariance = _covariance(fit)
     gain, skew = (_estimate(fit, covariance, effect) for effect in SOUGHT[:2])
     _refuse_unknown(name, gain, skew)
@@ -213,8 +214,9 @@ def _refuse_unknown(name: str, gain: Estimate, skew: Estimate) -> None:
                 f'{found.value:.2g} ± {found.std:.2g}: command eight directions all round, each '
                 'more than once, and record longer or more particles')
     if not 1 / PLAUSIBLE <= gain.value <= PLAUSIBLE:
-        raise InputError(name, f'expected pairs of coils alike to a factor of {PLAUSIBLE:g}, '
-                         f'found y over x {gain.value:.2g}: see the wiring of each coil')
+        raise InputError(name, 'expected pairs of coils equal within a factor of '
+                               f'{PLAUSIBLE:g}, found y over x {gain.value:.2g}: check the '
+                               'wiring of each coil')
 
 
 def _offset_std(fit: ModelFit, covariance: np.ndarray, matrix: np.ndarray) -> np.ndarray:

@@ -106,20 +106,21 @@ def _one_kind(sessions: Sequence[Session]) -> None:
                              'bx_mT,by_mT, found direction_rad,frequency_hz of rolling particles')
         if kind != sessions[0].conditions.propulsion:
             raise InputError(session.name, 'expected sessions of one kind of propulsion, found '
-                             f'{kind} beside {sessions[0].conditions.propulsion} in '
-                             f'{sessions[0].name}: look at each kind by itself')
+                                           f'{kind} beside {sessions[0].conditions.propulsion} '
+                                           f'in {sessions[0].name}: analyse each kind '
+                                           'separately')
 
 
 def _usable(session: Session) -> PreparedSession:
     name = session.name or 'session'
     if not np.isfinite(first_field(session.commands)):
-        raise InputError(name, 'expected commands with a field that is not zero; found none, and '
-                         'without them only drift and diffusion could be learnt')
+        raise InputError(name, 'expected commands with a nonzero field; found none. Without '
+                               'them only drift and diffusion can be learned')
     commands = session.commands
     if session.conditions.propulsion == 'rolling' and not np.any(commands.frequency):
-        raise InputError(name, 'expected commands with a field that rotates; found a frequency of '
-                         '0 Hz throughout, and without rolling only drift and diffusion could be '
-                         'learnt')
+        raise InputError(name, 'expected commands with a rotating field; found a frequency of 0 '
+                               'Hz throughout. Without rolling only drift and diffusion can be '
+                               'learned')
     whole = PreparedSession.of(session)
     frames = int((whole.seen.sum(axis=1) > 0).sum())
     if frames < FEWEST_FRAMES:
@@ -133,14 +134,14 @@ def _plausible(name: str, e: PreparedSession) -> None:
     """Raise InputError if units are wrong or nothing moves."""
     if not FASTEST_FRAMES <= e.interval <= SLOWEST_FRAMES:
         raise InputError(name, f'expected times in s, found frames every {e.interval:.3g} s: '
-                         'milliseconds, frame numbers or hours?')
+                               'are they in milliseconds, frame numbers or hours?')
     steps = np.abs(np.diff(e.z, axis=0))[e.joined()]
     if not steps.size:
         raise InputError(name, 'expected particles seen in consecutive frames, found none')
     speed = float(np.median(steps)) / e.interval
     if speed > FASTEST:
         raise InputError(name, f'expected positions in µm, found steps of {speed * 1e3:.3g} mm/s: '
-                         'pixels or nanometres?')
+                               'are they in pixels or nanometres?')
     if not steps.any():
         raise InputError(name, 'expected particles that move, found the same positions in all '
                          'frames')
@@ -149,9 +150,9 @@ def _plausible(name: str, e: PreparedSession) -> None:
         raise InputError(name, f'expected positions in µm, found steps of {usual * 1e9:.2g} nm, '
                          'which no microscope resolves: metres or millimetres?')
     if _stays(e).all():
-        raise InputError(name, 'expected particles that move, found all within '
-                         f'{usual * 1e6:.2g} µm of where they were: nothing but the error of '
-                         'reading. Are they stuck? One that moves is enough')
+        raise InputError(name, f'expected particles that move, found all within {usual * 1e6:.2g} '
+                               'µm of their place: only measurement error. Are they stuck? One '
+                               'that moves is enough')
 
 
 def _all_different(sessions: list[PreparedSession]) -> None:
@@ -161,8 +162,9 @@ def _all_different(sessions: list[PreparedSession]) -> None:
             if len(runs & known[other]) > 0.2 * min(len(runs), len(known[other])) > 0:
                 raise InputError(
                     sessions[k].name or 'session', 'expected different sessions, found the '
-                    f'tracks of {sessions[other].name or "another"} again: the evidence would be '
-                    'counted twice')
+                                                   'tracks of '
+                                                   f'{sessions[other].name or "another"} '
+                                                   'again: the data would be counted twice')
 
 
 def _runs(e: PreparedSession) -> set[int]:
@@ -197,15 +199,17 @@ def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
                f'coils and camera; record steps in all directions.{clock}')
     strongest = float(np.hypot(*field.T).max())
     if commands.frequency is None and strongest < FAINT:
-        yield (f'{e.name}: no field exceeds {strongest * 1e3:.2g} mT, less than the Earth’s: are '
-               'the commands in mT?')
+        yield (f"{e.name}: no field exceeds {strongest * 1e3:.2g} mT, less than the Earth's "
+               'field: are the commands in mT?')
     if jumps:
-        yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than the '
-               'motion around; tracks were cut there. Did the tracker slip, the stage move?')
+        yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than the motion '
+               'before and after; tracks were cut there. Did the tracker slip, did the stage '
+               'move?')
     yield from _swaps(e)
     if len(np.unique(e.ids)) == 1:
-        yield (f'{e.name}: one particle. What acts between particles can’t be seen, and what acts '
-               'on all can’t be told from what acts on one; record three or more.')
+        yield (f'{e.name}: one particle. Effects between particles cannot be seen, and an effect '
+               'on all particles cannot be distinguished from one on a single particle; record '
+               'three or more.')
     yield from _idle(e)
 
 
@@ -219,8 +223,8 @@ def _swaps(e: PreparedSession) -> Iterator[str]:
         for j in crossed.nonzero()[0]:
             if i < j:
                 yield (f'{e.name}: particles {e.ids[i]} and {e.ids[j]} exchange places at '
-                       f'{e.times[k + 1]:.2f} s: their tracks are swapped. Exchange their names '
-                       'from there on, or leave out what follows.')
+                       f'{e.times[k + 1]:.2f} s: their tracks are swapped. Exchange their ids '
+                       'from there on, or leave out the rest.')
 
 
 def _idle(e: PreparedSession) -> Iterator[str]:
@@ -228,11 +232,12 @@ def _idle(e: PreparedSession) -> Iterator[str]:
     stuck = e.ids[_stays(e)]
     if stuck.size:
         names = ', '.join(map(str, stuck))
-        yield (f'{e.name}: stuck, since it goes nowhere: particle {names}. It denies what carries '
-               'the others; better left out.')
+        yield (f'{e.name}: stuck, as the position does not change: particle {names}. It '
+               'contradicts any effect that moves the others; leave it out.')
     if not _follows(e).any():
-        yield (f'{e.name}: no particle follows the commands. What acts on their swimming can’t be '
-               'seen. Were the coils on, is there fuel, are commands and tracks on one clock?')
+        yield (f'{e.name}: no particle follows the commands. Effects on their propulsion cannot '
+               'be seen. Were the coils on, is there fuel, do commands and tracks share one '
+               'clock?')
 
 
 def at_a_wall(e: PreparedSession) -> np.ndarray:
@@ -266,16 +271,17 @@ def _without(session: Session, names: set[int]) -> Session:
     tracks = session.tracks
     kept = tracks.of(np.setdiff1d(tracks.particle, list(names)))
     if not len(kept.t):
-        raise InputError(session.name or 'session', 'expected particles in free fluid, found all '
-                         'pressed against a wall, or the edge of the dish. One that swims freely '
-                         'is enough')
+        raise InputError(session.name or 'session', 'expected particles in free fluid, found '
+                                                    'all pressed against a wall or the edge '
+                                                    'of the dish. One that moves freely is '
+                                                    'enough')
     return replace(session, tracks=kept)
 
 
 def _left_out(e: PreparedSession, held: np.ndarray) -> list[str]:
     names = ', '.join(map(str, e.ids[held]))
-    return [f'{e.name}: pressed against a wall, or the edge of the dish: particle {names}. Left '
-            'out: what holds it there acts on no other.'] if names else []
+    return [f'{e.name}: pressed against a wall or the edge of the dish: particle {names}. Left '
+            'out: the force that holds it acts on no other particle.'] if names else []
 
 
 def _stays(e: PreparedSession) -> np.ndarray:

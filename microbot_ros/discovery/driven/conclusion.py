@@ -42,12 +42,12 @@ def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
 
 
 def _remarks(driven: Driven) -> tuple[str, ...]:
-    remarks = [f'{words(one)} and {words(other)}: no command of this rig tells them apart.'
+    remarks = [f'{words(one)} and {words(other)}: no command of this rig distinguishes them.'
                for one, other in driven.twins]
     if driven.reason:
         remarks.append(f'The experiments were stopped: {driven.reason}.')
     if driven.decided == 'out_of_time':
-        remarks.append('Time was out before the question was settled.')
+        remarks.append('The time was over before the question was settled.')
     return tuple(remarks)
 
 

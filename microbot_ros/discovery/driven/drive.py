@@ -117,7 +117,7 @@ class Insight:
         if judgement.left:
             return f'something that depends on {judgement.left[0].against}?'
         if judgement.early:
-            return f'{words(judgement.early[0])}, the same everywhere and all along?'
+            return f'{words(judgement.early[0])}, the same at every place and time?'
         beside = ' too' if self.known.slots else ''
         return f'{words(judgement.pending[0])}{beside}?' if judgement.pending else (
             'anything else?' if self.known.slots else 'anything?')
@@ -252,7 +252,7 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
         final = left < SHORTEST or bool(
             insight and insight.judgement.settled and rig.seconds >= SCRUTINY)
         if insight and final and not played.stopped:
-            report('searching anew, and for something that no name explains')
+            report('repeating the search, also for effects without a name')
             insight = _look(result, last=True)
             final = left < SHORTEST or bool(insight and insight.judgement.answered)
         result.insight = insight or result.insight
@@ -268,7 +268,7 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
             result.decided = 'settled'
         elif not final:
             plan, saved = _next(result, insight, left, rig.limits, rng, designer)
-            question = insight.question if insight else 'nothing to be said yet:'
+            question = insight.question if insight else 'no result yet:'
     return result
 
 

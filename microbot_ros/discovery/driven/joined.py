@@ -58,7 +58,7 @@ def join(experiments: Sequence[Session]) -> Session:
         begin, end = _driven(one)
         whole = _between(one.tracks, begin, end)
         if len(whole.t) and whole.t[0] < last:
-            raise ValueError(f'experiment {number} begins before the one before has ended')
+            raise ValueError(f'experiment {number} begins before the previous one has ended')
         whole = _between(whole, np.nextafter(last, np.inf), end)
         if not len(whole.t):
             continue

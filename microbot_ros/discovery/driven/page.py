@@ -21,7 +21,7 @@ ones."""
 _ENDINGS = {
     'settled': 'The question was settled.',
     'undecidable': 'No command of this rig settles the question.',
-    'out_of_time': 'Time was out before the question was settled.',
+    'out_of_time': 'The time was over before the question was settled.',
     'stopped': 'The experiments were stopped',
 }
 """How a search ended, as sentences."""
@@ -54,8 +54,8 @@ def _ending(driven: Driven) -> str:
         return f'{_ENDINGS[driven.decided]}: {driven.reason}.'
     left = driven.insight.judgement.left if driven.insight else ()
     if driven.decided == 'settled' and left:
-        return ('The question was settled: what is there is in no list. It depends on '
-                f'{left[0].against}.')
+        return ('The question was settled: no effect of the library explains the data. The '
+                f'residuals depend on {left[0].against}.')
     return _ENDINGS[driven.decided]
 
 

@@ -29,8 +29,8 @@ _ALONG = {
 """Formula of a direction → what it resembles."""
 
 _KIND = {
-    'along a line': 'a flow along one line, faster here than there',
-    'without sources': 'a flow that neither rises nor sinks',
+    'along a line': 'a flow along one line with a speed gradient',
+    'without sources': 'a flow without sources or sinks',
     'without circulation': 'a potential that attracts and repels',
 }
 """Kind of kernel of a velocity by place → what it resembles."""
@@ -39,15 +39,15 @@ _PLAIN = {
     ('time', 'velocity'): 'a flow that changes in time',
     ('time', 'speed'): 'fuel, light or temperature that changes in time',
     ('time', 'heading'): 'a camera or a stage that turns',
-    ('time since switch', 'speed'): 'particles that have to recover from a turn',
-    ('time since switch', 'heading'): 'a heading that is late',
-    ('command angle', 'speed'): 'coils that are not alike',
+    ('time since switch', 'speed'): 'particles that recover slowly from a turn',
+    ('time since switch', 'heading'): 'a heading that lags',
+    ('command angle', 'speed'): 'unequal coils',
     ('command angle', 'heading'): 'coils that lean, or a nonlinear amplifier',
     ('heading', 'speed'): 'a slope, or a picture with unequal axes',
     ('field strength', 'speed'): 'alignment that depends on the field',
     ('frequency', 'speed'): 'slip, or a step-out',
-    ('neighbour distance', 'speed'): 'fuel that neighbours share',
-    ('particle', 'velocity'): 'particles that drift each their own way',
+    ('neighbour distance', 'speed'): 'fuel shared by neighbours',
+    ('particle', 'velocity'): 'particles with individual drifts',
 }
 """Covariate and acted-on quantity → what the term resembles."""
 
@@ -87,22 +87,22 @@ def looks_like(found: Finding) -> str:
     if term.against == 'position' and term.acts_on == 'velocity':
         return _KIND.get(found.curve.kind, 'a flow with sources and sinks')
     if term.against == 'position':
-        return 'fuel, light or height that differs from place to place'
+        return 'fuel, light or height that varies with position'
     return _PLAIN.get((term.against, term.acts_on), '')
 
 
 _CONFIRM = {
-    'position': 'lead the particles through the same places in another order, and through places '
-                'where none has been',
-    'time': 'record again from the start: what belongs to the clock comes again at the same time, '
-            'what belongs to a place or a particle does not',
+    'position': 'lead the particles through the same positions in another order, and through '
+                'positions not visited before',
+    'time': 'record again from the start: an effect of time recurs at the same time, an effect of '
+            'position or particle does not',
     'time since switch': 'hold each command twice as long, then half as long',
-    'command angle': 'go through all angles again, at another field strength',
+    'command angle': 'repeat all angles at another field strength',
     'heading': 'drive the same particles along the angles in between',
     'field strength': 'step through the field strengths in another order',
     'frequency': 'step through the frequencies in another order',
-    'neighbour distance': 'bring two particles together and apart again, far from the others',
-    'particle': 'exchange the places of the particles and record again',
+    'neighbour distance': 'bring two particles together and apart again, far from all others',
+    'particle': 'exchange the positions of the particles and record again',
 }
 """Covariate → experiment that would confirm or refute a term."""
 
@@ -122,4 +122,4 @@ def confirmation(found: Finding, minutes: float) -> NextExperiment:
     NextExperiment
         The recording in words.
     """
-    return NextExperiment(f'to confirm what was learned, {_CONFIRM[found.term.against]}', minutes)
+    return NextExperiment(f'to confirm the learned term, {_CONFIRM[found.term.against]}', minutes)

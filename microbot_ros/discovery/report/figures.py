@@ -132,7 +132,7 @@ def _map(axis: Axes, before: ResidualMap, after: ResidualMap) -> None:
                 continue
             axis.errorbar(found.middles, mean * 1e6, error * 1e6, lw=0.9, ms=3.5, elinewidth=0.7,
                           color=colour, **style, mfc=colour if style['ls'] == '-' else 'white')
-            axis.set_ylabel('left over (µm/s)', fontsize=8)
+            axis.set_ylabel('residual (µm/s)', fontsize=8)
     if 'power' not in before.curves:
         names = ', '.join(f'{m} {n}' for m, n in zip('●□', before.curves, strict=False))
         axis.text(0.02, 0.98, names, transform=axis.transAxes, fontsize=7, va='top')

@@ -13,10 +13,11 @@ from microbot_ros.model.learned_term import AXES, LearnedTerm
 _WORDS = {
     'x_um': 'x', 'y_um': 'y', 'time_s': 'time', 'since_switch_s': 'time since the last switch',
     'angle_rad': 'angle', 'field_mT': 'field', 'frequency_hz': 'rotation',
-    'distance_um': 'distance of a neighbour', 'particle': 'particle',
+    'distance_um': 'distance to a neighbour', 'particle': 'particle',
     'x_um_s': 'velocity along x', 'y_um_s': 'velocity along y',
-    'away_um_s': 'velocity away from it', 'around_um_s': 'velocity around it',
-    'factor': 'part of the speed that is added', 'turn_rad': 'turn of the heading',
+    'away_um_s': 'velocity away from the neighbour', 'around_um_s': 'velocity around the '
+                                                                    'neighbour',
+    'factor': 'relative change of the speed', 'turn_rad': 'rotation of the heading',
 }
 """Axis labels of covariates and components, without unit."""
 
@@ -74,7 +75,7 @@ def _map(term: LearnedTerm) -> Figure:
         figure.colorbar(drawn, label=_label(name))
         inside = term.seen & ~sure
         axis.plot(x.ravel()[inside], y.ravel()[inside], '.', color='#666666', ms=3,
-                  label='band holds nothing at all')
+                  label='95 % band includes zero')
         axis.legend(frameon=False, fontsize=8, loc='lower left', bbox_to_anchor=(0, 1))
     axis.set_xlabel('x (µm)')
     axis.set_ylabel('y (µm)')
@@ -90,5 +91,5 @@ def _arrows(axis: Axes, term: LearnedTerm, x: np.ndarray, y: np.ndarray,
                          color=np.where(sure[drawn], BEFORE, '#bbbbbb'))
     typical = float(f'{np.quantile(np.hypot(u, v)[drawn], 0.8):.1g}')
     axis.quiverkey(arrows, 0.75, 1.04, typical, f'{typical:g} µm/s', labelpos='E')
-    axis.set_title('grey: the band holds nothing at all', fontsize=9, loc='left')
+    axis.set_title('grey: the 95 % band includes zero', fontsize=9, loc='left')
     axis.margins(0.12)

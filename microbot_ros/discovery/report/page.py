@@ -26,6 +26,7 @@ from microbot_ros.discovery.report.figures import (
 from microbot_ros.discovery.report.learned import draw_learned
 from microbot_ros.discovery.report.prediction import predict
 from microbot_ros.discovery.report.residual import residual
+from microbot_ros.discovery.report.summary import summary
 from microbot_ros.discovery.report.words import bare, chance, interval, listed, number
 from microbot_ros.discovery.result import FIRES, Discovery, NamedEffect
 from microbot_ros.discovery.verdict import enough
@@ -101,7 +102,8 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path],
     places = draw_places(left, found.diffusion.value)
     driven = drive(left, found.particles.phi, found.diffusion.value)
     return template.render(
-        found=found, headline=headline(found), library=EFFECTS, sessions=sessions, fires=FIRES,
+        found=found, summary=summary(found), headline=headline(found), library=EFFECTS,
+        sessions=sessions, fires=FIRES,
         speed=_SPEED[found.model.propulsion], prediction=prediction,
         learned=[(one, embedded(draw_learned(one.term))) for one in found.learned],
         gap_figure=embedded(draw_gap(found.gap)), maps_figure=maps and embedded(maps),
@@ -130,20 +132,21 @@ def headline(found: Discovery) -> str:
     told = '; '.join(map(_told, sure))
     if found.verdict == 'named':
         return (f'Missing from the first-order model: {told}.'
-                + (f' What is left is small beside it, and shows against {_against(found)}.'
+                + (f' The residuals are small compared with it, and depend on {_against(found)}.'
                    if found.unexplained else ''))
     if found.verdict == 'consistent':
-        return ('Nothing is missing: the first-order model explains these data down to the noise.'
+        return ('No effect was found: the first-order model explains these data down to the noise.'
                 + (f' There is a hint of {listed(rest)}, too weak to be established.'
                    if rest else '')
-                + (f' What is left is no help in predicting, and shows against {_against(found)}.'
+                + (' The residuals do not improve the prediction; they depend on '
+                   f'{_against(found)}.'
                    if found.unexplained else ''))
-    return ('Something is there that no effect of the library explains. It shows against '
-            f'{_against(found)}.'
+    learned = dict.fromkeys(one.sentence() for one in found.learned)
+    return (f'The data show an effect that is not in the library. It depends on {_against(found)}.'
             + (f' Of what the library has, {listed(rest)} can only stand in for it.'
                if rest else '')
-            + (f' Established beside it: {told}.' if sure else '')
-            + ''.join(f' {one.sentence()}' for one in found.learned))
+            + (f' Established as well: {told}.' if sure else '')
+            + ''.join(f' {sentence}' for sentence in learned))
 
 
 def _against(found: Discovery) -> str:

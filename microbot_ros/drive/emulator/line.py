@@ -33,7 +33,7 @@ class Line:
         self._device = ''
         self.master: int | None = None
         if link.exists() and not link.is_symlink():
-            raise InputError(link, 'expected a name that is free for the link, found a file')
+            raise InputError(link, 'expected an unused path for the link, found a file')
         self.plug()
 
     @property
@@ -61,7 +61,7 @@ class Line:
             self.link.symlink_to(self._device)
         except OSError as error:
             self.unplug()
-            problem = f'expected a place to make a link in ({error.strerror})'
+            problem = f'expected a folder in which a link can be made ({error.strerror})'
             raise InputError(self.link, problem) from None
 
     def unplug(self) -> None:

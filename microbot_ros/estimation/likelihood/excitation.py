@@ -67,12 +67,12 @@ class Excitation:
         if not self.driven:
             return [f'nothing was driven in {last}: speed, φ and delay are unseen']
         told = [
-            f'{first} and {second} cannot be told apart under the commands of {last}: '
+            f'{first} and {second} cannot be distinguished under the commands of {last}: '
             + _ADVICE.get(frozenset((first, second)), 'vary the command')
             for first, second in self.pairs
         ]
         if not self.turned:
-            told.append(f'the delay is unseen: the command did not turn in {last}')
+            told.append(f'the delay is unknown: the command did not turn in {last}')
         return told
 
 

@@ -122,9 +122,9 @@ def implausible_diffusion(conditions: Conditions, noise: Noise) -> list[str]:
         most = translational_diffusion(Fluid(WATER), SMALLEST)
         if not noise.diffusion > most:
             return []
-        return [f'D is {noise.diffusion * 1e12:.3g} µm²/s, and that of a sphere of '
-                f'{SMALLEST * 1e6:g} µm in water {most * 1e12:.2g}: it is not thermal. The speed '
-                'fluctuates, or positions are read badly']
+        return [f'D is {noise.diffusion * 1e12:.3g} µm²/s, that of a sphere of {SMALLEST * 1e6:g} '
+                f'µm in water is {most * 1e12:.2g}: it is not thermal. The speed fluctuates, or '
+                'positions are inaccurate']
     fluid, radius = sphere
     expected = translational_diffusion(fluid, radius)
     if abs(noise.diffusion - expected) < max(4 * noise.diffusion_std, 0.2 * expected):
@@ -138,10 +138,10 @@ def implausible_diffusion(conditions: Conditions, noise: Noise) -> list[str]:
         return [f'{found}: most likely the particles move near a floor. A centre '
                 f'{height * 1e6:.3g} µm above it would explain D; drag, and with it every force, '
                 f'is then {factor:.2g} times as large. State height_um where it is known']
-    what = f'{"height, " if fluid.height else ""}radius or viscosity are off'
+    what = f'{"height, " if fluid.height else ""}radius or viscosity are wrong'
     if factor > 1:
         return [f'{found}: {what}']
-    return [f'{found}: something moves the particles that this model lacks; `microbot discover` '
+    return [f'{found}: the model lacks an effect that moves the particles; `microbot discover` '
             f'looks for it. Otherwise {what}']
 
 

@@ -58,9 +58,9 @@ class CommandLog:
         """
         x, y, turns = float(field[0]), float(field[1]), frequency or 0.0
         if not all(map(math.isfinite, (t, x, y, turns))):
-            return 'a command holds numbers that are not finite: ignored'
+            return 'a command has numbers that are not finite: ignored'
         if max(abs(x), abs(y)) > STRONGEST or abs(turns) > FASTEST_TURN:
-            return f'a command of {x:.3g}, {y:.3g} T, {turns:.3g} Hz is beyond all coils: ignored'
+            return f'a command of {x:.3g}, {y:.3g} T, {turns:.3g} Hz exceeds any coils: ignored'
         if math.hypot(x, y) < NEGLIGIBLE:
             x = y = 0.0
         if self._count and not t >= self.last:

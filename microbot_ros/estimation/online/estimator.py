@@ -208,7 +208,7 @@ class Estimator:
         """
         if math.isfinite(t) and t < self._t - SET_BACK:
             self._start(self.model)
-            self._note('the clock of the frames was set back: everything is learned anew')
+            self._note('the clock of the frames was set back; the estimator starts anew')
         if not (math.isfinite(t) and t > self._t):
             self._note(f'a frame is stamped {t:.6g} s, not later than the one before: ignored')
             return self._answer(np.zeros(len(self._population.ids), bool), ())
@@ -256,7 +256,7 @@ class Estimator:
         good = (np.abs(position) < FARTHEST).all(axis=1)
         for name, place in zip(ids[~good], position[~good], strict=True):
             what = 'is in no microscope' if np.isfinite(place).all() else 'is not a number'
-            self._note(f'particle {name} was reported at a place that {what}')
+            self._note(f'particle {name} was reported at a position that {what}')
         ids, position, sigma = ids[good], position[good], sigma[good]
         names, first, count = np.unique(ids, return_index=True, return_counts=True)
         for name in names[count > 1]:
@@ -360,14 +360,14 @@ class Estimator:
 
 def _of_restless(ids: set[int]) -> str:
     names = ', '.join(map(str, sorted(ids)))
-    return (f'particle{"s" * (len(ids) > 1)} {names}: neither the field nor noise explains the '
-            'motion, so v and φ are not known; places are as the camera sees them')
+    return (f'particle{"s" * (len(ids) > 1)} {names}: neither field nor noise explains the '
+            'motion, so v and φ are not known; positions are as measured')
 
 
 def _of_held(ids: set[int]) -> str:
     names = ', '.join(map(str, sorted(ids)))
-    return (f'particle{"s" * (len(ids) > 1)} {names}: held by a wall or the edge of the picture, '
-            'so v and φ are not known')
+    return (f'particle{"s" * (len(ids) > 1)} {names}: held by a wall or the edge of the image, so '
+            'v and φ are not known')
 
 
 @numba.njit(cache=True)

@@ -76,19 +76,20 @@ _RUN = 'record a minute and run: microbot discover SESSION'
 """Advice to run a search."""
 
 DETECTORS = {s.name: s for s in (
-    Detector('drift', 0.01, f'everything is carried along in one direction (a flow?): {_RUN}'),
-    Detector('place', 0.01, 'residuals depend on place (a flow, a gradient, a hot spot?): '
-              f'let the particles visit the whole field of view and {_RUN}'),
+    Detector('drift', 0.01, f'all particles drift in one direction (a flow?): {_RUN}'),
+    Detector('place', 0.01, 'residuals depend on position (a flow, a gradient, a hot spot?): '
+                            f'let the particles visit the whole field of view and {_RUN}'),
     Detector('command', 0.01, 'residuals depend on the direction of the field (a background '
-              f'field, unequal coils?): turn it through all directions, {_RUN}'),
-    Detector('turn', 0.12, 'particles are late or early after turns (alignment lag, delay?): '
-              f'make turns of 30° and of 180°, {_RUN}'),
-    Detector('swimming', 0.02, 'speed or direction changes faster than can be followed (fuel, '
-              f'slip?): {_RUN}', 1e-2),
-    Detector('memory', 0.06, 'residuals remember the one before (noise levels, heading noise, '
-              f'vibration?): {_RUN}', 0.03),
-    Detector('size', 0.0, 'residuals are larger or smaller than the noise explains (focus, '
-              'tracking, something new?): look at the picture, then run: microbot fit SESSION',
+                              'field, unequal coils?): turn the field through all directions, '
+                              f'{_RUN}'),
+    Detector('turn', 0.12, 'particles turn too late or too early (alignment lag, delay?): command '
+                           f'turns of 30° and of 180°, {_RUN}'),
+    Detector('swimming', 0.02, 'speed or direction changes too fast to be tracked (fuel, slip?): '
+                               f'{_RUN}', 1e-2),
+    Detector('memory', 0.06, 'residuals of successive frames are correlated (noise '
+                             f'levels, heading noise, vibration?): {_RUN}', 0.03),
+    Detector('size', 0.0, 'residuals do not match the noise (focus, tracking, an unknown '
+                          'effect?): look at the image, then run: microbot fit SESSION',
               1e-2),
 )}
 """All detectors by name. Choice: tolerances are what learned noise, delay and speeds leave."""

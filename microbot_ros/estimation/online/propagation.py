@@ -173,7 +173,8 @@ class Propagator:
         found = beyond_learned(self.model, self._timeline(log, delay, t, t + 1e-6, swarm))
         return tuple(
             f'particle {", ".join(map(str, swarm.ids[np.broadcast_to(out[0], swarm.ids.shape)]))} '
-            f'is beyond where a term was learned against {against}: it fades there'
+            f'is outside the range where a term was learned against {against}: the term fades '
+            'there'
             for against, out in found.items() if out.any() and len(swarm.ids))
 
     def _timeline(self, log: CommandLog, delay: float, start: float, end: float,

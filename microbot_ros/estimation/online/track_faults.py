@@ -78,9 +78,9 @@ class TrackFaults:
         after, before = now.velocity_phasor[here], then.velocity_phasor[there]
         moved = np.abs(after - before) ** 2 / spread > SURE
         return [
-            f'particle {name} swims differently than {now.t - then.t:.0f} s ago: '
-            f'{abs(old) * 1e6:.2f} → {abs(new) * 1e6:.2f} µm/s, '
-            f'turned by {np.degrees(np.angle(new * np.conj(old))):+.0f}°'
+            f'speed or angle of particle {name} changed within {now.t - then.t:.0f} s: '
+            f'{abs(old) * 1e6:.2f} → {abs(new) * 1e6:.2f} µm/s, turned by '
+            f'{np.degrees(np.angle(new * np.conj(old))):+.0f}°'
             for name, old, new in zip(common[moved], before[moved], after[moved], strict=True)
         ]
 
@@ -99,16 +99,16 @@ class TrackFaults:
         }
         both, self._close = near & self._close, near
         return [
-            f'particles {a} and {b} are at the same place: two tracks of one particle?'
+            f'particles {a} and {b} have the same position: two tracks of one particle?'
             for a, b in sorted(both)
         ]
 
 
 def _clock(t: float, last_command: float) -> list[str]:
     if not np.isfinite(last_command):
-        return ['no command has arrived: speed and φ cannot be known']
+        return ['no command received: speed and φ cannot be estimated']
     ahead = last_command - t
     if ahead > AHEAD or ahead < -ANOTHER_CLOCK:
         side = 'after' if ahead > 0 else 'before'
-        return [f'commands are stamped {abs(ahead):.3g} s {side} the frames: another clock?']
+        return [f'commands are stamped {abs(ahead):.3g} s {side} the frames: different clocks?']
     return []

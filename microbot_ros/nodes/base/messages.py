@@ -171,8 +171,9 @@ def in_workspace(header: Header) -> None:
     """
     if header.frame_id not in ('', WORKSPACE):
         raise MessageError(
-            f"expected the frame '{WORKSPACE}'; received '{clipped(header.frame_id)}': transform "
-            f"it before it is sent, or set the Fixed Frame of RViz to '{WORKSPACE}'")
+            f"expected the frame '{WORKSPACE}'; received '{clipped(header.frame_id)}': "
+            'transform the points before sending them, or set the Fixed Frame of RViz to '
+            f"'{WORKSPACE}'")
 
 
 def estimates(message: PointCloud2) -> np.ndarray:
@@ -348,7 +349,7 @@ def gray(message: Image, colour: Weights | None = None) -> np.ndarray:
         from microbot_ros.tracking.locate.colour import weighted  # brings all of the tracker
 
         if message.encoding not in _TO_GRAY:
-            raise MessageError(f'expected colours, by which the kinds are told; received '
+            raise MessageError('expected colour images, which distinguish the kinds; received '
                                f'{message.encoding}')
         code = _TO_BGR.get(message.encoding)
         return weighted(pixels if code is None else cv2.cvtColor(pixels, code), colour)

@@ -98,8 +98,9 @@ def _join(arguments: list[str] | None, profile: str, context: Context | None) ->
     if not reached_sockets() <= before:
         _KEPT.pop().destroy_node()
         rclpy.shutdown(context=context)
-        raise InputError(RANGE, 'other computers would reach this process, since the middleware '
-                                f'did not read {profile}; expected SUBNET where that is meant')
+        raise InputError(RANGE, 'other computers could reach this process: the middleware did not '
+                                f'read {profile}; set ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET to '
+                                'allow that')
     return made
 
 

@@ -85,12 +85,12 @@ class DrivenRig:
         if not self._client.until(lambda: self._armed is not None, _HEARD):
             raise RigError('coil_driver says nothing of its gate: is it running?')
         if not self._armed:
-            raise RigError('the gate is not armed: nothing moves; see microbot arm')
+            raise RigError('the gate is not armed; run: microbot arm')
         if not self._client.until(lambda: self._seen > 0, _HEARD):
             raise RigError(f'no particle was seen for {_HEARD:g} s')
         self._client.set('controller', controller=CONTROLLER)
         if not self._client.until(lambda: self._said.get('controller') == CONTROLLER, _HEARD):
-            raise RigError(f'the controller does not say that {CONTROLLER} drives')
+            raise RigError(f'the controller did not report that {CONTROLLER} is active')
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
@@ -170,13 +170,13 @@ class DrivenRig:
         if not self._armed:
             return f'the gate is disarmed ({self._complaint or "no reason was given"})'
         if self._ending:
-            return 'told to end'
+            return 'a stop was requested'
         if self._said.get('result') == 'fault':
             return 'the controller has a fault'
         if math.isfinite(self._seen) and now - self._seen > UNSEEN:
             return f'no particle has been seen for {UNSEEN:g} s'
         if math.isfinite(self._heard) and now - self._heard > UNSEEN:
-            return f'the controller has said nothing for {UNSEEN:g} s'
+            return f'the controller published nothing for {UNSEEN:g} s'
         return ''
 
     def _recorded(self) -> Session:

@@ -274,7 +274,7 @@ def _reason(child: _Child) -> InputError:
     """Return why a child ended before it was ready: its report on a node, or its last line."""
     said = [line.removeprefix(WORD) for line in child.said if line.startswith(WORD)]
     if not said:
-        last = child.said[-1] if child.said else 'it said nothing'
+        last = child.said[-1] if child.said else 'it printed nothing'
         return InputError(child.name, f'ended while starting: {last}')
     node, _, problem = said[-1].partition(': ')
     return InputError(node, problem) if node == child.name else InputError(child.name, said[-1])

@@ -206,8 +206,8 @@ class GraphClient:
         deadline = time.monotonic() + seconds
         while not heard:
             if time.monotonic() > deadline:
-                raise InputError('ros', f'no echo within {seconds:g} s; is a firewall closing '
-                                        'loopback?')
+                raise InputError('ros', f'no echo within {seconds:g} s; does a firewall block '
+                                        'the loopback interface?')
             publisher.publish(String(data='echo'))
             self.spin(0.05)
         name: str = rclpy.get_rmw_implementation_identifier()

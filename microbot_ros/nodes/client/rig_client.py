@@ -68,7 +68,7 @@ class RefusedError(RigError):
     """
 
     def __init__(self, node: str, reason: str) -> None:
-        self.reason = reason or 'refused, without a reason'
+        self.reason = reason or 'refused; no reason given'
         super().__init__(f'{node}: {self.reason}')
 
 
@@ -150,7 +150,7 @@ class RigClient:
             try:
                 disarmed = f'disarmed: {(yield from self.stop(now=True))}'
             except RigError as error:
-                disarmed = f'asked to disarm: {error}'
+                disarmed = f'disarm requested; no answer: {error}'
             raise RigError(f'{silence}; {disarmed}') from None
 
     def stop(self, now: bool = False) -> Steps[str]:
@@ -445,9 +445,10 @@ class RigClient:
         deadline = time.monotonic() + TAKE_S
         while not says(took, refused):
             if time.monotonic() > deadline:
-                answer = ('it answers, but not to these' if self._progress_s > began else
-                          'it says nothing; is it active?')
-                raise RigError(f'controller did not take the {what} within {TAKE_S:g} s: {answer}')
+                answer = ('it answers, but not for these' if self._progress_s > began else
+                          'it publishes nothing; is it active?')
+                raise RigError(f'controller did not accept the {what} within {TAKE_S:g} s: '
+                               f'{answer}')
             publisher.publish(message)
             yield (lambda: says(took, refused)), REPEAT_S
         if says(took):

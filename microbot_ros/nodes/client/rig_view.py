@@ -456,7 +456,7 @@ class RigView:
         for name, (told_s, status, _) in sorted(self._health.items()):
             silent = now - told_s > _SILENCE_S
             level = 'stale' if silent else _LEVELS.get(status.level, 'error')
-            said = f'nothing heard for {now - told_s:.0f} s' if silent else status.message
+            said = f'no message for {now - told_s:.0f} s' if silent else status.message
             found.append({'name': name, 'level': level, 'sentence': said})
         return found
 

@@ -43,7 +43,7 @@ def cloud_points(content: Any, path: Path, topic: str) -> dict[str, np.ndarray]:
     if not there.issuperset(_REQUIRED):
         raise InputError(path, f'{topic}: expected fields {", ".join(_REQUIRED)}')
     if not is_cloud(content):
-        raise InputError(path, f'{topic}: expected as much data as points')
+        raise InputError(path, f'{topic}: expected one data entry per point')
     points = cloud_table(content)
     unknown = np.full(len(points), np.nan)
     return {name: points[name].astype(float) for name in _REQUIRED} | {

@@ -16,8 +16,8 @@ from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.session.tables.folder import SessionFile
 from microbot_ros.session.tables.plausibility import check_session
 
-CUT_OFF = ('The recording was cut off: what it held after the last whole chunk is lost; '
-           '`microbot info --repair` writes its index.')
+CUT_OFF = ('The recording was cut off: data after the last complete chunk are lost; `microbot '
+           'info --repair` writes its index.')
 _FARTHEST_STAMP = 60_000_000_000
 """Choice: largest difference [ns] of exposure and receipt on one clock."""
 

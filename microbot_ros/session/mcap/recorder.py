@@ -151,13 +151,13 @@ class RecordingWriter:
             return f'recording stopped: {self._failure}'
         lost = ', '.join(f'{count} of {topic}' for topic, count in sorted(dropped.items()))
         if self._store.refused:
-            return (f'the disk refuses data ({self._store.refused}); '
-                    f'{self._store.waiting_bytes / MIB:.0f} MiB wait in memory; '
-                    f'dropped: {lost or "none"}')
+            return (f'the disk rejects data ({self._store.refused}); '
+                    f'{self._store.waiting_bytes / MIB:.0f} MiB wait in memory; dropped: '
+                    f'{lost or "none"}')
         if self._unaffordable(Priority.OVERLAY):
             free = f'{self._store.free_bytes / MIB:.0f} MiB free'
             return f'disk slow or nearly full ({free}); dropped: {lost or "none"}'
-        return f'dropped for want of disk: {lost}' if lost else ''
+        return f'dropped because the disk was full or slow: {lost}' if lost else ''
 
     def _run(self) -> None:
         # On Linux niceness applies to one thread, so that threads of the loop come first.

@@ -99,7 +99,7 @@ def chunk_data(file: BinaryIO, index: ChunkIndex) -> bytes:
         raise McapError(f'a chunk of {size} bytes')
     data = _decompressed(chunk.compression, chunk.data, size)
     if len(data) != size:
-        raise McapError(f'a chunk that says it holds {size} bytes, and does not')
+        raise McapError(f'a chunk that declares {size} bytes and has another length')
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise McapError('a chunk with a wrong checksum')
     return data

@@ -61,7 +61,7 @@ def read_log(source: Source, topic: str, node: str, frame: str) -> Iterator[Entr
             doubt = f'the {node} was started again'
         elif number > turn + whole:
             what = 'whose log was lost' if turn else 'before the recording began'
-            doubt = f'the {node} had taken frames {what}'
+            doubt = f'the {node} had received frames {what}'
         turn = number
         yield entries[0]._replace(doubt=doubt)
         yield from entries[1:]
@@ -125,8 +125,7 @@ def _line(message: Message) -> tuple[str, int, list[Entry]]:
                    for one in line['taken']]
         return str(line['node']), int(line['turn']), [entries[0], *entries[1:]]
     except (ValueError, KeyError, TypeError, IndexError):
-        raise InputError(message.topic, 'expected a line of the log of the loop, found something '
-                                        'else') from None
+        raise InputError(message.topic, 'expected a line of the loop log') from None
 
 
 def header_stamp_ns(data: bytes) -> int:

@@ -61,7 +61,8 @@ def angles(sheet: Sheet, column: Column, columns: Sequence[Column], answers: Ans
         else:
             raise InputError(sheet.place, 'expected --angle-unit deg or rad: '
                              + (f"'{name}' reaches {largest:.4g} though {shown}" if neighbour else
-                                f"a span of {span:.3g} in '{name}' could be either"))
+                                f"'{name}' spans {span:.3g}, which fits degrees and radians: "
+                                'state its unit'))
     return np.radians(values) if unit == '_deg' else values
 
 
@@ -140,8 +141,8 @@ def _offset(same: complex, axis: bool, said: Assumptions, source: str) -> float:
                     f'{math.degrees(lead):.0f}°; {-right:.0f} if the angles count from another '
                     'axis, 0 if that is the heading of the robot')
     else:
-        said.add(f'the motion leads the commands by {math.degrees(lead):.0f}°: kept, as the '
-                 'robot’s own'.replace('-', '−'))
+        said.add(f'the motion leads the commands by {math.degrees(lead):.0f}°: kept, as a '
+                 'property of the robot'.replace('-', '−'))
     return 0.0
 
 

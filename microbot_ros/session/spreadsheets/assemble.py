@@ -126,7 +126,7 @@ def _positions(
                                       f"--pixel-size-um): '{name}' names no unit")
     down = _points_down(answers, scale)
     if answers.y_axis is None:
-        said.add('y points down, as in pictures; turned up' if down else 'y points up')
+        said.add('y points down, as in images; converted to y up' if down else 'y points up')
     columns = sheet.numbers(x.index), sheet.numbers(y.index)
     return np.column_stack(columns) * scale.factor * (1, -1 if down else 1)
 

@@ -103,8 +103,8 @@ def _beside_the_motion(
     best, other = sorted(found, key=lambda what: -found[what][1])
     if found[best][1] < _FOLLOWS or found[other][1] > _CLEARLY_LESS * found[best][1]:
         return None
-    said.add(f'{sheet.name}: frames count otherwise than in {clock.sheet.name}; the two {best} '
-             'together, since so the motion follows the commands')
+    said.add(f'{sheet.name}: frames are counted differently from {clock.sheet.name}; the two '
+             f'{best} together, as the motion follows the commands then')
     return RowTimes(sheet, found[best][0], None, False)
 
 
@@ -123,9 +123,10 @@ def _field(
     if 'direction' in by_role and (rolls or not acts.any()):
         angle = angles(sheet, by_role['direction'], columns, answers, said)
         if rotation is None:
-            said.add(f'the field has {NOMINAL_FIELD * 1e3:g} mT, since only its direction is told')
+            said.add(f'the field is taken as {NOMINAL_FIELD * 1e3:g} mT: the table states only '
+                     'its direction')
         elif not rolls:
-            said.add(f'{sheet.name}: neither a rotation nor a field, throughout')
+            said.add(f'{sheet.name}: no rotation and no field in any row')
         elif acts.any():
             said.add(f'{sheet.name}: {int(acts.sum())} rows have a field beside the rotation; '
                      'left out')
@@ -146,7 +147,7 @@ def _teslas(sheet: Sheet, bx: Column, components: np.ndarray, answers: Answers,
                  f'{largest:.3g} and name no unit')
     if not unit:
         raise InputError(sheet.place, f"expected --field-unit mT, T, G or fraction: '{name}' "
-                                      'names none')
+                                      'names no unit')
     if unit != '_fraction':
         return _GAUSS if unit == '_G' else to_si(unit, 1.0)
     if largest > 1:

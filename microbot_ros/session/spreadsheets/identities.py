@@ -73,7 +73,7 @@ def settle_identities(pieces: Sequence[Tracks], said: Assumptions) -> list[Track
         stretch.follows = False
         if name != before:
             changes.append(f'sheet of robot {before} holds robot {name} from {at:.1f} s on'
-                           + (': it is where that one was' if there else ', elsewhere'))
+                           + (': it is at the position of that robot' if there else ', elsewhere'))
     for change in changes:
         said.add(change)
     return [*mixed, *(stretch.track for stretch in stretches)]

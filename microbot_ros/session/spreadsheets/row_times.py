@@ -77,7 +77,7 @@ def joined_row_times(sheet: Sheet, columns: Sequence[Column], others: list[RowTi
     """Return times of a `sheet` with none of its own, or only frames, from `others`."""
     longest = clock_of(others)
     if len(sheet.rows) == len(longest.t):
-        said.add(f'{sheet.name}: row by row beside {longest.sheet.name}')
+        said.add(f'{sheet.name}: matched row by row to {longest.sheet.name}')
         return RowTimes(sheet, longest.t, None, False)
     frame = next((column for column in columns if column.role == 'frame'), None)
     if frame is None or longest.frames is None:
@@ -174,8 +174,8 @@ def _picked_up(sheet: Sheet, intervals: np.ndarray, frames: np.ndarray | None, s
         cuts = np.flatnonzero(lost).tolist()
         intervals[lost] = np.maximum(step[lost], 1) * usual
     for row in cuts:
-        said.add(f'{sheet.name}: lost and picked up again in line {sheet.lines[row]}, at '
-                 f'{intervals[:row + 1].sum():.1f} s; cut there')
+        said.add(f'{sheet.name}: the robot was lost and found again in line {sheet.lines[row]}, '
+                 f'at {intervals[:row + 1].sum():.1f} s; the track is cut there')
     short = intervals[1:] <= 0
     if short.any():
         said.add(f'{sheet.name}: {int(short.sum())} intervals of 0 taken as {usual:.4g} s')
@@ -199,9 +199,9 @@ def _are_intervals(
     if not steady:
         line = sheet.lines[int(np.argmax(steps <= 0)) + 1]
         raise InputError(
-            sheet.place, f"expected the times in '{sheet.names[column.index]}' to ascend; if they "
-                         'are intervals, say --times intervals', line)
-    said.add(f"'{sheet.names[column.index]}' holds intervals, since it goes back again and again; "
+            sheet.place, f"expected ascending times in '{sheet.names[column.index]}'; if they are "
+                         'intervals, use --times intervals', line)
+    said.add(f"'{sheet.names[column.index]}' holds intervals: it decreases repeatedly; "
              'summed', sheet.name)
     return True
 
@@ -216,7 +216,6 @@ def _seconds_per_unit(
     step = float(np.median(steps)) if len(steps) else 0.0
     if step >= _LONGEST_STEP:
         raise InputError(
-            sheet.place, f"expected --time-unit s or ms: steps of {step:g} in '{name}' could be "
-                         'either')
+            sheet.place, f"expected --time-unit s or ms: steps of {step:g} in '{name}' fit both")
     said.add(f"'{name}' is in seconds, steps of {step:.1g}", sheet.name)
     return 1.0

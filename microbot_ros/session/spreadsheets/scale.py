@@ -166,7 +166,7 @@ def settle_scale(path: Path, robots: Sequence[Part], timelines: Sequence[RowTime
         said.add(f'positions are in pixels of {stated * 1e6:.6g} µm, as stated; the speeds agree '
                  f'within {100 * max(off, 1e-3):.1f} %')
     elif not x.unit and not answers.position_unit:
-        said.add('positions are in pixels, since a pixel size is given')
+        said.add('positions are in pixels: a pixel size is given')
     return Scale(stated, stated, window)
 
 

@@ -126,7 +126,7 @@ def read_sheets(path: Path) -> tuple[list[Sheet], list[str]]:
     if path.suffix.lower() in _SPREADSHEETS:
         return _read_spreadsheet(path), []
     if path.suffix.lower() == '.xls':
-        raise InputError(path, 'expected .xlsx; save the old format anew')
+        raise InputError(path, 'expected .xlsx; save the file in that format')
     sheet, said = _read_text(path)
     return [sheet], [said] if said else []
 

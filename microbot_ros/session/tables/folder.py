@@ -166,7 +166,7 @@ def _read_tracks(path: Path) -> Tracks:
     back, twice = np.zeros(len(t), bool), np.zeros(len(t), bool)
     back[by_particle[1:]] = same & (step < 0)
     twice[by_particle[1:]] = same & (step == 0)
-    table.refuse(back, 'expected the times of a particle to ascend, found an earlier one')
+    table.refuse(back, 'expected ascending times of a particle, found an earlier time')
     table.refuse(twice, 'expected one row per particle and time, found a second')
     order = np.lexsort((particle, t))
     unknown = np.full(len(t), np.nan)
@@ -180,7 +180,7 @@ def _read_tracks(path: Path) -> Tracks:
 def _check_times(table: Table, tracks: Tracks) -> None:
     t = table.columns['t_s']
     step = np.diff(t, prepend=-np.inf)
-    table.refuse(step < 0, 'expected times to ascend, found an earlier one')
+    table.refuse(step < 0, 'expected ascending times, found an earlier time')
     table.refuse(step == 0, 'expected one row per time, found a second')
     table.refuse(np.abs(t - tracks.t[0]) > LONGEST_S,
                  f'expected times within {LONGEST_S:g} s of the first of the tracks')

@@ -52,8 +52,7 @@ def settle_doubt(states: TrackStates, patience: int) -> None:
 
 def doubt_told(states: TrackStates) -> dict[str, str]:
     """Return a sentence for each named particle in doubt: kind of remark → sentence."""
-    return {f'doubt {name}': f'particle {name} may be two: it was lost from sight, or met one '
-                             'like it'
+    return {f'doubt {name}': f'particle {name} may be two: it was lost, or met one like it'
             for name in states.id[(states.doubt > 0) & (states.id != UNNAMED)].tolist()}
 
 

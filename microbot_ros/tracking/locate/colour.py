@@ -50,8 +50,8 @@ def weighted(picture: np.ndarray, weights: Weights) -> np.ndarray:
     import cv2
 
     if picture.ndim != 3:
-        raise InputError('colour', 'expected pictures in colour, as in the film from which it was '
-                                   'learned; these are grey')
+        raise InputError('colour', 'expected colour images, as in the film from which the '
+                                   'kinds were learned; these are grey')
     shares = np.array(weights[::-1]) / np.sum(np.abs(weights))
     matrix = np.zeros((1, picture.shape[2] + 1))
     matrix[0, :3] = shares

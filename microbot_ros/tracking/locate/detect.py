@@ -126,7 +126,7 @@ class RoundDetector:
         known = np.pi * (self.appearance.reach_px + self._filter.shrink) ** 2
         strange = (self._filter.texture - np.count_nonzero(good) * known) / image.size
         self.remark = '' if strange < _STRANGE else (
-            f'{100 * strange:.0f} % of the picture show something that is no particle')
+            f'{100 * strange:.0f} % of the image is covered by something that is not a particle')
         return self._detections(rows[good], errors[good], quality[good])
 
     def _assign(self, peaks: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

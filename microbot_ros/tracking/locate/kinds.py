@@ -45,19 +45,20 @@ class Kind(Settings):
     """One kind of body: ranges of its traits, and the examples they come from."""
 
     name: str = Field('robot', pattern=r'^[A-Za-z][\w-]{0,31}$',
-                      description='what stands in the column `kind`')
+                      description='name in the column `kind`')
     contrast: Literal['dark', 'bright'] = Field(
         'dark', description='whether it is darker or brighter than the light around it')
     parts_px: float = Field(
-        0.0, ge=0, le=200, description='parts nearer to one another than this are one body [px]')
-    shrink: int = Field(1, ge=1, le=16, description='pixels that are looked at as one, each way')
+        0.0, ge=0, le=200, description='parts closer than this are one body [px]')
+    shrink: int = Field(1, ge=1, le=16, description='binning: pixels averaged along each axis')
     height_grey: Range = Field((8.0, 1e6), description='its contrast [grey levels]')
     width_px: Range = Field((3.0, 60.0), description='diameter of a disc of equal area [px]')
     edge_px: Range = Field((0.0, 1e6), description='width of its edge, small in focus [px]')
     elongation: Range = Field((1.0, 1e6), description='length over width')
     fill: Range = Field((0.0, 2.0), description='area over that of the ellipse around it')
     halo: Range = Field(
-        (-1.0, 1e6), description='what is of the other sign beside it, as a share of its contrast')
+        (-1.0, 1e6), description='contrast of the opposite sign beside it, relative to its '
+                                 'contrast')
     like: tuple[Traits, ...] = Field((), description='traits of the examples, in the order above')
     unlike: tuple[Traits, ...] = Field((), description='traits of the counter-examples')
 
@@ -169,8 +170,8 @@ def _cut(ends: np.ndarray, examples: np.ndarray, other: np.ndarray, name: str) -
     far = np.maximum(below, above) / _APART
     k = int(np.argmax(far))
     if far[k] < 1:
-        raise InputError('unlike', f'expected something that differs from the examples of {name}: '
-                                   f'in size, contrast, sharpness and shape this is one of them')
+        raise InputError('unlike', f'expected something unlike the examples of {name}: by '
+                                   'size, contrast, sharpness and shape this is one of them')
     if below[k] > above[k]:
         ends[k, 0] = other[k] + below[k] / 2
     else:

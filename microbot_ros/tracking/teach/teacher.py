@@ -57,14 +57,14 @@ class NothingError(InputError):
     """A point at (`x`, `y`) [px] where nothing stands out; `what` was to be learned."""
 
     def __init__(self, what: str, x: float, y: float) -> None:
-        super().__init__(what, f'expected something at {x:g},{y:g}: nothing stands out there')
+        super().__init__(what, f'expected something at {x:g},{y:g}: nothing is visible there')
 
 
 class TwoError(InputError):
     """A point at (`x`, `y`) [px] between `two` bodies (2,); `what` was to be learned."""
 
     def __init__(self, what: str, x: float, y: float, two: Bodies) -> None:
-        super().__init__(what, f'expected one thing at {x:g},{y:g}: two are as near to it')
+        super().__init__(what, f'expected one thing at {x:g},{y:g}: two are equally near')
         self.two = two
 
 
@@ -126,7 +126,7 @@ def unlike(
         changed = _with(changed, learned)
         said.append(f'{kind.name}: not what is {meant.body.width[0]:.0f} px wide and '
                     f'{meant.body.height[0]:.0f} grey levels {_word(kind)}')
-    return changed, '; '.join(said) or 'it was taken for no kind before: nothing to change'
+    return changed, '; '.join(said) or 'it was not detected as any kind before: nothing to change'
 
 
 def forget(settings: TrackerSettings, name: str | None = None) -> tuple[TrackerSettings, str]:

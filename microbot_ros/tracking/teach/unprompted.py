@@ -112,7 +112,7 @@ def without_prompt(
         return found, []
     count = specks(detector, samples)
     return settings, [
-        f'{count} specks a frame are found, and as many in the negative of the film: this is '
+        f'{count} specks per frame are found, and as many in the negative of the film: this is '
         'noise; point at a particle with --like FRAME,X,Y'] if count else []
 
 

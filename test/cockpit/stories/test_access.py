@@ -167,7 +167,7 @@ def test_state_is_told_by_words_and_shapes_not_by_colour_alone(page, rig) -> Non
 @pytest.mark.parametrize('size', _SIZES)
 def test_nothing_is_cut_at_any_size(open_page, rig, tmp_path, size) -> None:
     rig.told.update(rig='fault', sentence='disarmed, measured current deviates (deviation_A, '
-                    'settling_ms): (0, 0, 0, 0) A measured where (0.799, 0.1, -0.3, 0.2) A was '
+                    'settling_ms): (0, 0, 0, 0) A measured, (0.799, 0.1, -0.3, 0.2) A '
                     'commanded; zero, confirmed by a reading', zero='confirmed',
                     field={'wanted_mT': [-12.93, -10.86], 'applied_mT': [-12.93, -10.86],
                            'measured_mT': [-12.93, -10.86]})

@@ -236,7 +236,7 @@ def test_goals_from_before_the_page_are_shown(visit, listener) -> None:
                 float(one.get('goals_stamp_s', 'nan')) == sent for one in heard), 0.2):
             break
     else:
-        raise AssertionError('the controller did not take the goal')
+        raise AssertionError('the controller did not accept the goal')
     page = visit()
     page.wait_for_selector('#overlay .goals g', state='attached')
     x, y = page.evaluate(_PLACE_OF, '#overlay .goals g')

@@ -36,7 +36,7 @@ class RoboteqAmplifier(PolledAmplifier):
         # Once more than needed: the echo of what switches it off comes before the answer.
         yield Exchange(codec.END + codec.line('^ECHOF 1'),
                        lambda received: received.endswith(b'+' + codec.END) or None,
-                       'no more echo')
+                       'the echo switched off')
         name = yield Exchange(codec.line('?FID'), partial(codec.text, 'FID'), 'a firmware name')
         if not name.startswith(_MODEL):
             raise WrongDeviceError(self.urls[device], f'a {_MODEL} controller', name)

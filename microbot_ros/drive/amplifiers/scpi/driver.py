@@ -63,7 +63,7 @@ class ScpiAmplifier(PolledAmplifier):
 
     def _inspect(self, device: int) -> Talk[str]:
         condition = yield self._query('STAT:QUES:COND?', codec.number,
-                                      'the questionable condition')
+                                      'the questionable-condition register')
         fault = codec.fault(condition)
         return fault and f'{self.urls[device]}: {fault}'
 

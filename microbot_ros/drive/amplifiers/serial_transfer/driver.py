@@ -122,7 +122,8 @@ class SerialTransferAmplifier(Amplifier):
 
     def _stray(self, currents_A: np.ndarray) -> str:
         """Return the fault of coils that are never driven; '' for none."""
-        stray = [f'coil {1 + self.channels + index} carries {current:.2g} A, and was never told to'
+        stray = [f'spare channel {1 + self.channels + index} carries {current:.2g} A; no coil is '
+                 'configured on it'
                  for index, current in enumerate(currents_A.tolist())
                  if not abs(current) <= _STRAY * self.full_scale_A.max()]
         return '; '.join(stray)
