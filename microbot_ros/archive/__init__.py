@@ -1,18 +1,8 @@
-"""Many recordings on Dask: found by content, each done once, and compared.
+"""Many recordings on Dask: found by content, each processed once, and compared.
 
     from microbot_ros.archive import run_batch, conclude, read_table
 
-Nothing is loaded before it is asked for: Dask by `run_batch`, PyArrow by `read_table`.
-
-Examples
---------
-Recordings of one rig differ in a quantity by more than their errors:
-
->>> import numpy as np
->>> from microbot_ros.archive import spread
->>> found = spread(np.array([1.0, 1.2, 0.9, 1.1]), np.full(4, 0.02))
->>> print(f'{found.mean:.2f}, between recordings {found.between:.2f}')
-1.05, between recordings 0.13
+Nothing is loaded before it is needed: Dask by `run_batch`, PyArrow by `read_table`.
 """
 
 from __future__ import annotations
