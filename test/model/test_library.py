@@ -76,7 +76,7 @@ def spoilt(old, new):
     ('class Late: pass', 'late = lab_bad:Late', 'to be a class that derives from Effect'),
     (HEAD + GOOD, 'later = lab_bad:Late', "expected the 'id' later, as in the entry point; "
                                           'received'),
-    (spoilt("    id = 'late'\n", ''), 'late = lab_bad:Late', "the 'id' late, .* got None"),
+    (spoilt("    id = 'late'\n", ''), 'late = lab_bad:Late', "the 'id' late, .* received None"),
     (spoilt("'heading'", "'steering'"), 'late = lab_bad:Late',
      "expected a 'stage' that is one of: field, heading, velocity, observation"),
     (spoilt("    summary = 'It is late.'\n", ''), 'late = lab_bad:Late', "expected a 'summary'"),
