@@ -3,6 +3,16 @@
     from microbot_ros.archive import run_batch, conclude, read_table
 
 Nothing is loaded before it is needed: Dask by `run_batch`, PyArrow by `read_table`.
+
+Examples
+--------
+Recordings of one rig differ in a quantity by more than their errors:
+
+>>> import numpy as np
+>>> from microbot_ros.archive import spread
+>>> found = spread(np.array([1.0, 1.2, 0.9, 1.1]), np.full(4, 0.02))
+>>> print(f'{found.mean:.2f}, between recordings {found.between:.2f}')
+1.05, between recordings 0.13
 """
 
 from __future__ import annotations

@@ -107,8 +107,9 @@ class Archive:
             self.refused = {name: Refused(**one) for name, one in kept['refused'].items()}
             self.cards = FileCards(kept['files'])
         except (OSError, ValueError, TypeError, KeyError):
-            raise InputError(self._index, 'expected the index of an archive; without it the '
-                                          'archive is made anew from its results') from None
+            raise InputError(self._index, 'expected the index of an archive; '
+                                          'without it the archive is rebuilt from '
+                                          'its results') from None
 
     def save(self, findings: dict[str, Any] | None = None, complete: bool = False) -> None:
         """Write the index and, if new, the findings, each in one step.

@@ -50,7 +50,7 @@ class PlayerParameters:
     """Parameters of the node `player`."""
 
     session: str = setting('', 'Folder or MCAP recording to play.', read_only=True)
-    rate: float = setting(1.0, 'Times real time; 0 is as fast as it goes.', lower=0.0,
+    rate: float = setting(1.0, 'Speed relative to real time; 0: as fast as possible.', lower=0.0,
                           upper=100.0)
     start_s: float = setting(0.0, 'Start of the playback, from the start of the '
                                   'session.', lower=0.0,
@@ -61,8 +61,8 @@ class PlayerParameters:
     topics: list[str] = setting([], 'Topics to play; empty plays all.', read_only=True)
     seek_s: float = setting(0.0, 'Set it to jump to that time.', lower=0.0, upper=1e6)
     into_live_rig: bool = setting(
-        False, 'Play even if nodes are live that do not follow `/clock`: they act on what is '
-               'played.', read_only=True)
+        False, 'Play even if nodes are live that do not follow `/clock`: they act on the recorded '
+               'messages.', read_only=True)
 
 
 class PlayerNode(RigNode):

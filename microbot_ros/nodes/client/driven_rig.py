@@ -83,7 +83,7 @@ class DrivenRig:
 
     def __enter__(self) -> DrivenRig:
         if not self._client.until(lambda: self._armed is not None, _HEARD):
-            raise RigError('coil_driver says nothing of its gate: is it running?')
+            raise RigError('coil_driver does not report its gate: is it running?')
         if not self._armed:
             raise RigError('the gate is not armed; run: microbot arm')
         if not self._client.until(lambda: self._seen > 0, _HEARD):

@@ -362,7 +362,7 @@ class RigView:
         heard_s = max(told_s, changed_s, self._raw.get('coils/measured', (-math.inf,))[0])
         age = time.monotonic() - heard_s
         if not age <= _SILENCE_S:
-            return 'unknown', 'the coil driver says nothing', age
+            return 'unknown', 'the coil driver reports nothing', age
         if changed_s > told_s:
             return ('armed', 'armed', age) if armed else ('disarmed', 'disarmed', age)
         if status.level == b'\2':
