@@ -305,7 +305,7 @@ def main():
     modules = [module for room in ROOMS for module in public_modules(room)]
     names = {label for module in modules for label, _, _ in public_names(*module)}
     wrong = [one for module in modules for one in complaints(*module)]
-    wrong += [(f'{path.relative_to(ROOT)}: {name}', 'lacks a word on where its value is from')
+    wrong += [(f'{path.relative_to(ROOT)}: {name}', 'does not say where its value is from')
               for path, _ in modules for name in unexplained(path.read_text(encoding='utf-8'))]
     found = [f'{where} {what}' for where, what in wrong
              if not (what.startswith('lacks') and where.startswith(SECTIONS_TO_DO))]

@@ -34,29 +34,29 @@ def _request(direction: int, number: int, layout: struct.Struct) -> int:
     return direction << 30 | layout.size << 16 | ord('V') << 8 | number
 
 
-# Values from <linux/videodev2.h> and <linux/v4l2-controls.h>.
+# Values from the headers of Linux, <linux/videodev2.h> and <linux/v4l2-controls.h>.
 _READ, _WRITE, _BOTH = 2, 1, 3
-QUERYCAP = _request(_READ, 0, _CAPABILITY)
-ENUM_FMT = _request(_BOTH, 2, _DESCRIPTION)
-G_FMT, S_FMT = _request(_BOTH, 4, _FORMAT), _request(_BOTH, 5, _FORMAT)
-REQBUFS = _request(_BOTH, 8, _REQUEST)
-QUERYBUF, QBUF, DQBUF = (_request(_BOTH, number, _BUFFER) for number in (9, 15, 17))
-STREAMON, STREAMOFF = _request(_WRITE, 18, _INT), _request(_WRITE, 19, _INT)
-G_PARM, S_PARM = _request(_BOTH, 21, _PARAMETERS), _request(_BOTH, 22, _PARAMETERS)
-G_CTRL, S_CTRL = _request(_BOTH, 27, _CONTROL), _request(_BOTH, 28, _CONTROL)
-QUERYCTRL = _request(_BOTH, 36, _LIMITS)
-S_SELECTION = _request(_BOTH, 95, _SELECTION)
+QUERYCAP = _request(_READ, 0, _CAPABILITY)  # videodev2.h
+ENUM_FMT = _request(_BOTH, 2, _DESCRIPTION)  # videodev2.h
+G_FMT, S_FMT = _request(_BOTH, 4, _FORMAT), _request(_BOTH, 5, _FORMAT)  # videodev2.h
+REQBUFS = _request(_BOTH, 8, _REQUEST)  # videodev2.h
+QUERYBUF, QBUF, DQBUF = (_request(_BOTH, number, _BUFFER) for number in (9, 15, 17))  # videodev2.h
+STREAMON, STREAMOFF = _request(_WRITE, 18, _INT), _request(_WRITE, 19, _INT)  # videodev2.h
+G_PARM, S_PARM = _request(_BOTH, 21, _PARAMETERS), _request(_BOTH, 22, _PARAMETERS)  # videodev2.h
+G_CTRL, S_CTRL = _request(_BOTH, 27, _CONTROL), _request(_BOTH, 28, _CONTROL)  # videodev2.h
+QUERYCTRL = _request(_BOTH, 36, _LIMITS)  # videodev2.h
+S_SELECTION = _request(_BOTH, 95, _SELECTION)  # videodev2.h
 
-AUTOGAIN, GAIN = 0x00980912, 0x00980913
-EXPOSURE_AUTO, EXPOSURE_ABSOLUTE = 0x009A0901, 0x009A0902
-EXPOSURE_MANUAL = 1
+AUTOGAIN, GAIN = 0x00980912, 0x00980913  # v4l2-controls.h
+EXPOSURE_AUTO, EXPOSURE_ABSOLUTE = 0x009A0901, 0x009A0902  # v4l2-controls.h
+EXPOSURE_MANUAL = 1  # v4l2-controls.h
 
-_CAPTURE, _MMAP, _CROP = 1, 1, 0
-_CAN_CAPTURE, _CAN_STREAM, _DEVICE_CAPS = 0x1, 0x0400_0000, 0x8000_0000
-_TIME_PER_FRAME, _DISABLED = 0x1000, 0x1
-_BROKEN = 0x40
-_CLOCK, _MONOTONIC = 0xE000, 0x2000
-_SOURCE, _START_OF_EXPOSURE = 0x70000, 0x10000
+_CAPTURE, _MMAP, _CROP = 1, 1, 0  # videodev2.h
+_CAN_CAPTURE, _CAN_STREAM, _DEVICE_CAPS = 0x1, 0x0400_0000, 0x8000_0000  # videodev2.h
+_TIME_PER_FRAME, _DISABLED = 0x1000, 0x1  # videodev2.h
+_BROKEN = 0x40  # videodev2.h
+_CLOCK, _MONOTONIC = 0xE000, 0x2000  # videodev2.h
+_SOURCE, _START_OF_EXPOSURE = 0x70000, 0x10000  # videodev2.h
 _BUFFERS = 8  # choice: 80 ms of frames at 100 frames/s
 
 Ioctl = Callable[[int, int, bytearray], int]

@@ -8,11 +8,10 @@ import yaml
 
 from microbot_ros.common.errors import clipped
 
-# Choices, beyond what people write and harmless for memory; nodes with all aliases expanded.
-LARGEST_BYTES = 2**24
-_DEEPEST = 40
-_MOST_NODES = 1_000_000
-_LONGEST_NUMBER = 400
+LARGEST_BYTES = 2**24  # choice: 16 MiB, far more than people write
+_DEEPEST = 40  # choice: levels, far more than any file of settings has
+_MOST_NODES = 1_000_000  # choice: with all aliases expanded, harmless for memory
+_LONGEST_NUMBER = 400  # choice: digits, more than any double needs
 _WRONG_TAG = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 """Errors of PyYAML for values such as `!!int x` or a date in month 13."""
 

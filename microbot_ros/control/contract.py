@@ -127,6 +127,7 @@ class Workspace:
 
 
 NO_IDS, NO_PLACES = np.empty(0, int), np.empty((0, 2))
+"""Empty arrays of ids and of places (0, 2) [m]."""
 
 
 @dataclass(frozen=True)

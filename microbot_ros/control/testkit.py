@@ -30,14 +30,17 @@ from microbot_ros.control.contract import (
 )
 
 _PLACES = np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]])
+"""Choice: goals [m] well inside the view and apart from each other."""
 _MORE: dict[Input, dict[str, Any]] = {
     Input.GOALS: {'goals': Goals(_PLACES)},
     Input.PARTICLE_GOALS: {'goals': Goals(_PLACES[:2], np.array([2, 0]))},
     Input.PATH: {'path': np.column_stack((np.linspace(-50e-6, 50e-6, 21), np.zeros(21)))},
     Input.PLAN: {'plan': Commands(np.array([0.0, 60.0]), np.array([[1e-3, 0.0], [0.0, 0.0]]))},
     Input.JOYSTICK: {'joystick': np.array([0.6, 0.8])}}
+"""Choice: a plausible input of each kind."""
 
 VIEW = Workspace(np.array([-144e-6, -108e-6]), np.array([144e-6, 108e-6]))
+"""Workspace [m]: 640 × 480 pixels of 0.45 µm, the picture of the virtual microscope."""
 
 
 def controller_input(

@@ -58,6 +58,7 @@ _DEFAULT = Scenario.model_validate({
     'camera': {'frame_rate_hz': 30, 'localisation_um': 0.1},
     'particles': [{'x_um': -60, 'y_um': 20, 'v_um_s': 3.71, 'phi_rad': -1.09},
                   {'x_um': 40, 'y_um': 50, 'v_um_s': 4.38, 'phi_rad': 3.82}]})
+"""Choice: two of the paper's particles for a minute, seen as on the virtual rig."""
 
 
 class SteeredWorlds:

@@ -23,12 +23,9 @@ from microbot_ros.magnetics.coils import CoilSet
 from microbot_ros.magnetics.settings import CoilSettings, Vector, Winding
 from microbot_ros.magnetics.table import read_table
 
-# Choices: the largest unexplained part of the variation of the readings that is accepted (probe
-# placement costs a few percent); the part below which no swapped columns are looked for; and the
-# factor by which a swap must be better to be reported.
-_BELIEVED = 0.2
-_CLEAN = 0.01
-_MUCH_BETTER = 3
+_BELIEVED = 0.2  # choice: unexplained part that is accepted; probe placement costs a few percent
+_CLEAN = 0.01  # choice: unexplained part below which no swapped columns are looked for
+_MUCH_BETTER = 3  # choice: factor by which a swap must be better to be reported
 _SINGULAR = 1e6  # choice: condition number above which the readings do not separate the coils
 # Choice: gains beyond this factor mean a dead coil or other units; geometry is known better.
 _PLAUSIBLE = 3

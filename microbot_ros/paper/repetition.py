@@ -37,19 +37,19 @@ from microbot_ros.virtual_rig.record_session import Camera, record_session, scat
 from microbot_ros.virtual_rig.world import World
 
 # The paper's numbers, in SI.
-FLUID = Fluid(viscosity=1.245e-3, temperature=298.15)
-RADIUS = 4.6e-6
-MASS = 4.01e-13
-FORCE = MASS * np.array([1.00, 1.18, 1.34])
-PHI = np.array([-1.09, 3.82, 2.64])
-DURATION = 15.0
-LEGS = (2.0, 6.0)
-STEP = 0.02
+FLUID = Fluid(viscosity=1.245e-3, temperature=298.15)  # the paper; temperature assumed
+RADIUS = 4.6e-6  # the paper [m]; see `summary.ASSUMED`
+MASS = 4.01e-13  # the paper [kg]
+FORCE = MASS * np.array([1.00, 1.18, 1.34])  # the paper [N]
+PHI = np.array([-1.09, 3.82, 2.64])  # the paper [rad]
+DURATION = 15.0  # the paper [s]
+LEGS = (2.0, 6.0)  # the paper: shortest and longest leg [s]
+STEP = 0.02  # the paper: step of Euler's method [s]
 
 # Assumed, as the paper does not state them; listed on the page (`summary.ASSUMED`).
 FIELD = 5e-3
 MOMENT = MagneticParticle(radius=RADIUS, viscosity=FLUID.viscosity).moment
-CAMERA = Camera(frame_rate=30.0, exposure=1.0, noise=0.1e-6)
+CAMERA = Camera(frame_rate=30.0, exposure=1.0, noise=0.1e-6)  # assumed, see `summary.ASSUMED`
 
 APPROACHES = ('own', 'mean', 'true')
 """Force of each particle's own leg, mean force of the three, and the true force."""

@@ -40,6 +40,7 @@ ASSUMED = (
     'legs of 2–6 s in directions drawn evenly from the circle; F and φ from the longest leg',
     'no walls, no flow, no interaction, no drift, constant fuel',
 )
+"""Conditions that the paper does not state, as sentences for the page."""
 
 
 def summarise(trials: list[Trial], run_times: dict[str, float]) -> dict[str, Any]:

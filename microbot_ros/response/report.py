@@ -21,6 +21,7 @@ from microbot_ros.response.result import Group, Level, Response, Row
 _TEMPLATE = Path(__file__).with_name('page.html')
 _QUANTITIES = {'speed_um_s': ('speed', 1e6), 'across_um_s': ('across', 1e6),
                'slip_rad': ('slip', 1.0), 'turning_rad_s': ('turning', 1.0)}
+"""Field of a level and its factor from SI, by column; the factors are those of the units."""
 _PARTS = {'': 'value', '_std': 'std', '_low_95': 'low', '_high_95': 'high'}
 
 

@@ -19,7 +19,8 @@ from microbot_ros.control.planning.plan import Plan, Swarm
 # Choices: the grid of the search, whose best plan `refine` improves.
 _DIRECTIONS = np.exp(2j * np.pi * np.arange(16) / 16)
 _ASIDE = np.exp(1j * np.radians([-160, -130, 130, 160]))
-_COASTS = np.linspace(0, 1, 10) ** 1.5
+"""Choice: backwards to either side, with which a goal behind is approached."""
+_COASTS = np.linspace(0, 1, 10) ** 1.5  # choice: parts of the longest coast, denser at short ones
 
 
 @dataclass(frozen=True)

@@ -156,6 +156,7 @@ class _Search:
 
 _MOVES = sorted(((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)),
                 key=lambda move: abs(move[0]) + abs(move[1]))
+"""Moves to a neighbouring cell, by definition of the grid; short ones first."""
 
 
 def _spread(cells: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from microbot_ros.session.mcap.records import chunk_data, chunk_messages, file_r
 from microbot_ros.session.mcap.recovery import BROKEN, complete_index, recover_summary
 from microbot_ros.session.mcap.writer import MAGIC, closing_bytes
 
-_FOOTER_BYTES = 9 + 20 + len(MAGIC)
+_FOOTER_BYTES = 9 + 20 + len(MAGIC)  # MCAP specification: opcode, length, content and magic
 
 
 class Message(NamedTuple):

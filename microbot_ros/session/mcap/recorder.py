@@ -16,10 +16,11 @@ from microbot_ros.session.mcap.bag import typestore
 from microbot_ros.session.mcap.recording import is_topic
 from microbot_ros.session.mcap.store import MIB, Priority, RecordedTopic, Store
 
-# Choices: a class of messages is dropped while more than this waits in memory, or less than this
-# is free on disk.
 MOST_QUEUED = {Priority.OVERLAY: 32 * MIB, Priority.FRAME: 256 * MIB, Priority.DATA: 512 * MIB}
+"""Choice: bytes in memory from which a class of messages is dropped. Frames of 640×480 at 60 Hz
+fill theirs in 14 s."""
 LEAST_FREE = {Priority.OVERLAY: 1024 * MIB, Priority.FRAME: 256 * MIB, Priority.DATA: 0}
+"""Choice: bytes free on disk below which a class of messages is dropped; data never are."""
 _FRAMES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 _PERIOD, _NICENESS = 0.05, 5  # choices: time between two drains [s], niceness of the thread
 

@@ -17,8 +17,8 @@ from mcap.records import Chunk, ChunkIndex
 
 from microbot_ros.session.mcap.writer import MAGIC
 
-_LARGEST_CHUNK = 2**30
-_ALWAYS_READ = 2**26
+_LARGEST_CHUNK = 2**30  # choice: 1 GiB, beyond which a file could fill the memory
+_ALWAYS_READ = 2**26  # choice: 64 MiB, far above any writer's chunks
 _DENSEST = 100
 """Choices: a chunk may hold 64 MiB in any file, and up to 1 GiB in a file of a hundredth of that.
 

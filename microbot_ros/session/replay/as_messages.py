@@ -22,8 +22,8 @@ _FRAME = 'workspace'
 _POINT = np.dtype([('id', '<u4')] + [
     (name, '<f4') for name in ('x', 'y', 'theta', 'vx', 'vy', 'sigma')
 ])
-_UINT32, _FLOAT32 = 6, 7
-_SECOND = 1_000_000_000
+_UINT32, _FLOAT32 = 6, 7  # sensor_msgs/msg/PointField
+_SECOND = 1_000_000_000  # nanoseconds, by definition
 
 
 class SessionMessages:

@@ -22,11 +22,11 @@ _ALIKE = 0.8
 """Choice: ratio of the agreement with the mirror image from which both agree equally."""
 _FEWEST_ROWS = 20
 """Choice: rows from which motion along one line is not a coincidence."""
-_NEAR_90 = math.radians(12)
+_NEAR_90 = math.radians(12)  # choice: error of a mean direction, with room
 _NEAR_90_AXIS = math.radians(30)
 """Choice: robots of unequal coils lead by ±8 to ±16° at diagonals; this still counts as 90°."""
-_NEAR_180 = math.radians(30)
-_FULL_TURN = 2 * math.pi + 0.01
+_NEAR_180 = math.radians(30)  # choice: as wide as `_NEAR_90_AXIS`
+_FULL_TURN = 2 * math.pi + 0.01  # choice: a turn, with room for rounding
 _MOST_TURNS = 4
 """Choice: turns of an unwrapped angle in radians; beyond, degrees are as likely."""
 

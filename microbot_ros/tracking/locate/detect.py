@@ -26,7 +26,7 @@ from microbot_ros.tracking.refine.lookup_fit import LookupFit
 from microbot_ros.tracking.refine.neighbours import doubled
 from microbot_ros.tracking.settings import TrackerSettings
 
-_NONE = np.empty((0, 3))
+_NONE = np.empty((0, 3))  # no positions
 _ITERATIONS, _SWEEPS = 3, 6  # choices: Gauss–Newton steps of a particle; turns among neighbours
 
 _CLOSEST = 0.4

@@ -25,8 +25,11 @@ TRAITS = ('height_grey', 'width_px', 'edge_px', 'elongation', 'fill', 'halo')
 _LOGARITHMIC = np.array([True, True, True, True, False, False])
 
 _BELOW = np.array([math.log(1 / 0.45), math.log(2.6), math.log(3.0), math.inf, 0.25, math.inf])
+"""Choice, per trait: how far a range extends below one example; in logarithms where
+`_LOGARITHMIC`."""
 _ABOVE = np.array([math.log(2.2), math.log(3.0), math.log(1.65), math.log(2.2), math.inf, 0.09])
-"""In logarithms where `_LOGARITHMIC`."""
+"""Choice, per trait: how far a range extends above one example; in logarithms where
+`_LOGARITHMIC`."""
 
 _LENIENT = np.array([math.log(1.7), math.log(1.3), math.log(1.5), math.log(1.5), 0.15, math.inf])
 """Choice: extra margin for a body where one of its kind is expected."""

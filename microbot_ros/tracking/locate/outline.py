@@ -34,6 +34,7 @@ _LEAST_SIGMA = 1e-3
 """Choice: least error [px] of a centroid, even in a noiseless picture."""
 
 _COUNT, _CORE, _WEIGHT, _WX, _WY, _WXX, _WYY, _WXY, _EDGE_X, _EDGE_Y, _PEAK = range(11)
+"""Indices of the sums of a region."""
 
 
 class OutlineDetector:

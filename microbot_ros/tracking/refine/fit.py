@@ -18,7 +18,7 @@ import numpy as np
 from microbot_ros.common.compiled import numba
 
 X, Y, CONTRAST, OFFSET, SIZE, THETA = range(6)
-PARAMETERS = 6
+PARAMETERS = 6  # their number
 
 TABLE_STEP = 1 / 16
 """Choice: spacing [px] of the profile tables; interpolation errs by 1e-4 of the contrast."""

@@ -41,7 +41,7 @@ _SETTLED_AMONG_OTHERS = 0.04
 
 # Choices: most turns of a particle alone, cut by the edge, among others; longest step [px].
 _TURNS, _TURNS_CUT, _TURNS_AMONG_OTHERS = 2, 6, 6
-_LARGEST_CHANGE = 0.75
+_LARGEST_CHANGE = 0.75  # choice: longest step [px]; a longer one may leave the valley
 
 _LEAST_IN_VIEW = 0.4
 """Choice: share of the fitted disc that must lie in the picture."""

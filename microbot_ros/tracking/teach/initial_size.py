@@ -19,10 +19,9 @@ _LADDER = 2.0 ** np.arange(2, 6.6, 0.5)
 _NEARLY_ALL = 0.9
 """Choice: the smallest width that explains this share of the maximum is taken."""
 
-# Choices: spots per frame, pixels of all spots, and least response in σ of its noise.
-_MOST_CANDIDATES = 80
-_MOST_PIXELS = 150_000
-_LEAST_SIGMA = 8.0
+_MOST_CANDIDATES = 80  # choice: spots per frame; more cost time and tell nothing new
+_MOST_PIXELS = 150_000  # choice: pixels of all spots, which bounds the time
+_LEAST_SIGMA = 8.0  # choice: least response, in σ of its noise
 
 
 @dataclass(frozen=True)

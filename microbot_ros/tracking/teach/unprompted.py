@@ -62,7 +62,7 @@ _AGREED = 0.7
 Finder = Callable[[np.ndarray], np.ndarray]
 """Function from a picture (H, W) to positions (N, 2) [px] of its particles."""
 
-_NOWHERE = np.empty((0, 2))
+_NOWHERE = np.empty((0, 2))  # no positions
 
 
 class Detector(Protocol):
