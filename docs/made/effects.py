@@ -7,7 +7,7 @@ import inspect
 from made.text import MADE, code, table
 from microbot_ros.model.effects import BUILT_IN
 
-_HEAD = ('effect', 'term', 'parameters', 'shows under', 'looks like')
+_HEAD = ('effect', 'term', 'parameters', 'visible under', 'looks like')
 
 
 def page() -> str:

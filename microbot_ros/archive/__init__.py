@@ -1,8 +1,8 @@
-"""Many recordings on Dask: found by content, each done once, and compared.
+"""Many recordings on Dask: found by content, each processed once, and compared.
 
     from microbot_ros.archive import run_batch, conclude, read_table
 
-Nothing is loaded before it is asked for: Dask by `run_batch`, PyArrow by `read_table`.
+Nothing is loaded before it is needed: Dask by `run_batch`, PyArrow by `read_table`.
 
 Examples
 --------

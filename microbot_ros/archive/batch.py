@@ -1,4 +1,4 @@
-"""A run over an archive: find, do what is not done yet, conclude."""
+"""Run over an archive: find recordings, process those that are new, conclude."""
 
 from __future__ import annotations
 
@@ -37,9 +37,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is: `done` of `total` in `seconds`, at what (`doing`).
+    """Progress of a run.
 
-    `note`: a sentence that is to stay.
+    Attributes
+    ----------
+    doing : str
+        Present activity.
+    done : int
+        Recordings that are done.
+    total : int
+        Recordings to do.
+    seconds : float
+        Time of the activity so far [s].
+    note : str
+        Sentence that is to stay on the screen.
     """
 
     doing: str = ''
@@ -50,25 +61,41 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """Recordings a second; 0 before the first."""
+        """Recordings per second; 0 before the first."""
         return self.done / self.seconds if self.seconds else 0.0
 
     @property
     def seconds_left(self) -> float | None:
-        """By the rate so far; None before the first."""
+        """Remaining time [s] at the rate so far; None before the first recording."""
         return (self.total - self.done) / self.rate if self.rate else None
 
 
 @dataclass
 class Summary:
-    """What a run did: a `task` on `found` recordings, of which some were `done` now and others
-    `kept` from before.
+    """Result of a run. Each recording counts once.
 
-    `refused`: {name: reason} of what could not be read; `failed` likewise, where a worker failed,
-    which is tried again next time; `aside`: how many are of a kind that the task does not take;
-    `copies` of others that were done once; `summaries`: {name: sentence} of tables that hold
-    averages and no recording. Each recording counts once. `no_report`: why archive.html could not
-    be written, '' where it was.
+    Attributes
+    ----------
+    task : Task
+        The task.
+    found : int
+        Recordings that were found.
+    done : int
+        Recordings that were processed in this run.
+    kept : int
+        Recordings that were processed before.
+    aside : int
+        Recordings of a kind that the task does not process.
+    copies : int
+        Copies of other recordings.
+    refused : dict of str to str
+        Reason by name, of recordings that could not be read.
+    failed : dict of str to str
+        Reason by name, of recordings whose worker failed; the next run tries them again.
+    summaries : dict of str to str
+        Sentence by name, of tables that hold averages and no recording.
+    no_report : str
+        Why archive.html could not be written; '' if it was.
     """
 
     task: Task
@@ -87,15 +114,43 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
               workers: int | None = None, scheduler: str | None = None,
               report: Callable[[Progress], None] = lambda _: None,
               ) -> tuple[Summary, dict[str, Any]]:
-    """Do a `task` on every recording in `folders`, and keep the results in the archive `out`.
+    """Run a task on every recording in folders, and keep the results in an archive.
 
-    `settings` of the task, where an `archive.yaml` states no others: `exposure_s` for fit;
-    `answers`, those of `microbot import`, for fit, discover and import; `pixel_size_um`,
-    `frame_rate_hz` and `tracker` for track. On so many `workers` here, or on a `scheduler`'s.
-    `report` is told the progress. What was done before, by content, settings and version, is not
-    done again. Returns what was done and what the archive says as a whole, as JSON has it;
-    `conclude` gives that with all numbers. InputError for a folder, a scheduler or an archive
-    that is not as it must be, OSError for a full disk, ClusterError.
+    Recordings that were processed before, by content, settings and version, are not processed
+    again. `conclude` returns the conclusions with all numbers.
+
+    Parameters
+    ----------
+    task : Task
+        Name of the task.
+    folders : sequence of Path
+        Folders of recordings.
+    out : Path
+        Folder of the archive.
+    settings : dict of str to object
+        Settings of the task, unless an `archive.yaml` states others: `exposure_s` for fit;
+        `answers`, those of `microbot import`, for fit, discover and import; `pixel_size_um`,
+        `frame_rate_hz` and `tracker` for track.
+    workers : int or None
+        Number of workers on this machine; None for its cores.
+    scheduler : str or None
+        Address of a Dask scheduler to use instead; None for none.
+    report : callable
+        Function that is called with the progress.
+
+    Returns
+    -------
+    tuple[Summary, dict of str to object]
+        Summary of the run, and the conclusions as in JSON.
+
+    Raises
+    ------
+    InputError
+        If a folder, a scheduler or an archive is not valid.
+    OSError
+        If the disk is full.
+    ClusterError
+        If the scheduler is lost.
     """
     archive, summary = Archive(out), Summary(task)
     with archive.locked(), ExitStack() as stack:
@@ -133,16 +188,16 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
 
 
 def _load_ahead() -> None:
-    """Load what `_conclude` needs while the workers work: figures and tables take seconds."""
+    """Import the modules of `_conclude` while the workers work, which takes seconds."""
     with suppress(ImportError):  # said where it is used
         importlib.import_module('microbot_ros.archive.report')
         importlib.import_module('pyarrow')
 
 
 def _conclude(archive: Archive, summary: Summary) -> dict[str, Any]:
-    """Write table and report of an `archive` and return what they say.
+    """Write table and report of an archive and return its conclusions.
 
-    Where the report fails, the `summary` says why.
+    If the report fails, the summary contains the reason.
     """
     from microbot_ros.archive.conclusions import conclude
     from microbot_ros.archive.report import write_report
@@ -159,8 +214,7 @@ def _conclude(archive: Archive, summary: Summary) -> dict[str, Any]:
 
 
 def _measurements(archive: Archive, settings: dict[str, Any]) -> list[Job]:
-    """Return the second look: each session that is explained is asked for all recurring effects.
-    """
+    """Return the jobs that measure all recurring effects in each explained session."""
     from microbot_ros.archive.recurring import candidates_for_all, common_reference, is_complete
 
     discovered = archive.results('discover')
@@ -187,7 +241,7 @@ def _measurements(archive: Archive, settings: dict[str, Any]) -> list[Job]:
 
 def _look(archive: Archive, task: Task, folders: Sequence[Path], settings: dict[str, Any],
           summary: Summary, report: Callable[[Progress], None]) -> list[Job]:
-    """The jobs on all that is found; what is found is noted in the archive.
+    """Return the jobs on all recordings that are found, and register these in the archive.
 
     A film and the table of its name are one recording.
     """
@@ -227,9 +281,9 @@ def _look(archive: Archive, task: Task, folders: Sequence[Path], settings: dict[
 
 
 def _settings(task: Task, recording: Found, settings: dict[str, Any]) -> dict[str, Any]:
-    """Those of a recording's own job: what does not touch it is not in its key.
+    """Return the settings that concern one job, which its key contains.
 
-    InputError for a `session.yaml` beside a film that is none.
+    InputError for a `session.yaml` beside a film that is not valid.
     """
     if task == 'track':
         beside = recording.path if recording.path.is_dir() else recording.path.parent
@@ -247,7 +301,7 @@ def _settings(task: Task, recording: Found, settings: dict[str, Any]) -> dict[st
 
 def _do(archive: Archive, jobs: Sequence[Job], client: Callable[[], Client], summary: Summary,
         report: Callable[[Progress], None]) -> None:
-    """Do of `jobs` what is not done; the rest is kept."""
+    """Run the jobs that are not done."""
     missing = [job for job in {job.key: job for job in jobs}.values() if not job.result.exists()]
     doing, began = {'measure': 'comparing'}.get(summary.task, summary.task), time.monotonic()
     finished: set[str] = set()
@@ -270,9 +324,9 @@ def _do(archive: Archive, jobs: Sequence[Job], client: Callable[[], Client], sum
 
 def _count(archive: Archive, jobs: Sequence[Job], summary: Summary,
            finished: AbstractSet[str] = frozenset()) -> None:
-    """Into the `summary` what became of the `jobs` by now; the sessions made get what is known.
+    """Add the present state of the jobs to the summary, and publish the sessions that were made.
 
-    `finished` are the keys of those that were done in this run.
+    `finished` are the keys of the jobs that this run finished.
     """
     different = {job.key: job for job in jobs}
     summary.copies = len(jobs) - len(different)

@@ -1,4 +1,4 @@
-"""Dask's cluster for a run: one on this machine, or one that is there, of our version."""
+"""Dask cluster of a run: a local one, or a running one of the same version."""
 
 from __future__ import annotations
 
@@ -21,23 +21,42 @@ if TYPE_CHECKING:
 
 _CHECKED = ('python', 'microbot_ros', 'distributed', 'dask', 'cloudpickle', 'msgpack', 'numpy',
             'scipy', 'numba')
-"""What has to be alike: messages are understood, and numbers the same to the last bit."""
+"""Packages that must be equal, so that messages are understood and numbers agree to the last
+bit."""
 
 _FOUND_WITHIN = '10s'
+"""Time in which a scheduler must answer. Choice: longer than any connection takes."""
 DASHBOARD = '127.0.0.1:8787'
+"""Address of the dashboard, the default port of Dask."""
 
 
 class ClusterError(RigError):
-    """The scheduler went away in the middle of the work."""
+    """Error of a scheduler that was lost during the work."""
 
 
 @contextmanager
 def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
-    """A client of the `scheduler` at an address, or of as many `workers` on this machine.
+    """Provide a client of a cluster.
 
-    As many as it has cores where nothing is said. Nothing of the local cluster can be reached from
-    another machine. InputError where the scheduler is not there, where it or a worker has other
-    versions, or where Dask is not installed.
+    No other machine can reach the local cluster.
+
+    Parameters
+    ----------
+    workers : int or None
+        Number of workers on this machine; None for its cores.
+    scheduler : str or None
+        Address of a Dask scheduler to use instead; None for none.
+
+    Yields
+    ------
+    Client
+        The client.
+
+    Raises
+    ------
+    InputError
+        If the scheduler does not answer, if it or a worker has other versions, or if Dask is not
+        installed.
     """
     require('dask')
     with _local(workers) if scheduler is None else _remote(scheduler) as client:
@@ -89,9 +108,7 @@ def _first_line(error: BaseException) -> str:
 
 @contextmanager
 def _interrupts_ignored() -> Iterator[None]:
-    """Processes that are started meanwhile ignore Ctrl-C, which a terminal sends to all: one is
-    enough.
-    """
+    """Make processes started meanwhile ignore Ctrl-C, which a terminal sends to all of them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -104,7 +121,7 @@ def _interrupts_ignored() -> Iterator[None]:
 
 @contextmanager
 def _quietly() -> Iterator[None]:
-    """Without what Dask says of ports, versions and lost connections: all of it is said by us."""
+    """Suppress Dask's messages on ports, versions and connections, which are reported here."""
     loggers = [logging.getLogger(name) for name in [*logging.root.manager.loggerDict]
                if name.split('.')[0] in ('distributed', 'tornado')]
     before = [one.level for one in loggers]
@@ -120,7 +137,18 @@ def _quietly() -> Iterator[None]:
 
 
 def check_versions(client: Client) -> None:
-    """InputError, naming both, where scheduler or workers of a `client` differ from it."""
+    """Compare the versions of scheduler and workers with those of a client.
+
+    Parameters
+    ----------
+    client : Client
+        Client of the cluster.
+
+    Raises
+    ------
+    InputError
+        If any differs; it names both.
+    """
     found: Any = client.get_versions(packages=['microbot_ros', 'scipy', 'numba'])
     ours = _versions(found['client'])
     others = {'the scheduler': found['scheduler']} | {
@@ -142,7 +170,18 @@ def _versions(told: dict[str, Any]) -> dict[str, str]:
 
 
 def introduced(client: Client) -> str:
-    """A sentence on the workers of a `client`, and Dask's dashboard where there is one."""
+    """Return a sentence on the workers of a client, and on Dask's dashboard.
+
+    Parameters
+    ----------
+    client : Client
+        Client of the cluster.
+
+    Returns
+    -------
+    str
+        The sentence.
+    """
     count = len(client.scheduler_info(n_workers=-1)['workers'])
     who = f'{count} worker{"" if count == 1 else "s"}' if count else (
         'no workers yet; waiting for one')
@@ -152,11 +191,28 @@ def introduced(client: Client) -> str:
 
 
 def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Job, str], None]) -> None:
-    """Do `jobs`, of different keys, each as soon as a worker of a `client` is free.
+    """Run jobs, each as soon as a worker is free.
 
-    `report` is told of each that is done, with '' or a sentence on why a worker failed. Raises
-    OSError for a full disk, InputError where a worker has another version, ClusterError where the
-    scheduler goes away; what is done by then stays done.
+    Finished jobs stay finished if an error ends the run.
+
+    Parameters
+    ----------
+    client : Client
+        Client of the cluster.
+    jobs : sequence of Job
+        Jobs with different keys.
+    report : callable
+        Function that is called with each finished job, and '' or a sentence on why its worker
+        failed.
+
+    Raises
+    ------
+    OSError
+        If the disk is full.
+    InputError
+        If a worker has another version.
+    ClusterError
+        If the scheduler is lost.
     """
     from distributed import as_completed
 

@@ -1,4 +1,4 @@
-"""What an archive says as a whole, from the results that lie in it."""
+"""Conclusions on an archive as a whole, from its results."""
 
 from __future__ import annotations
 
@@ -27,16 +27,36 @@ from microbot_ros.archive.store import Archive
 from microbot_ros.archive.table import rows
 
 _MULTIPLE = 1.5
-"""Objectives differ by factors of 2; robots of one kind by 20 %."""
+"""Ratio of a speed to the others' from which a wrong scale is suggested. Choice: objectives differ
+by factors of 2, robots of one kind by 20 %."""
 
 
 @dataclass(frozen=True)
 class Conclusions:
-    """An archive as a whole: the `rows` of its table, one for each particle; `quantities` of the
-    sessions; `effects` that recur, with the quantities `parameters` {effect: ...}; sessions
-    `unlike` the others; what drifts, with its `drifts`; `verdicts` and how often; `proxies`
-    {effect: sessions in which it stands in for something without a name}; `films` tracked;
-    what was `imported`. Sessions are compared with those of their own kind of particles.
+    """Conclusions on an archive. Sessions are compared with those of their own kind of particles.
+
+    Attributes
+    ----------
+    rows : list of dict of str to object
+        Rows of its table, one for each particle.
+    quantities : list of Quantity
+        Quantities of the sessions.
+    effects : list of Recurring
+        Effects that recur.
+    parameters : dict of str to list of Quantity
+        Quantities of the parameters of each effect.
+    unlike : list of Unlike
+        Sessions that differ from the others.
+    drifts : list of tuple[Quantity, Trend]
+        Quantities that drift, with their trends.
+    verdicts : dict of str to int
+        Number of sessions with each verdict.
+    proxies : dict of str to list of str
+        Sessions in which an effect stands for an unnamed one, by effect.
+    films : dict[str, dict of str to object]
+        Results of tracked films by name.
+    imported : dict of str to object
+        Summary of the imports.
     """
 
     rows: list[dict[str, Any]]
@@ -52,11 +72,17 @@ class Conclusions:
 
     @property
     def sessions(self) -> list[str]:
-        """All sessions, in the order of the table."""
+        """Names of all sessions, in the order of the table."""
         return list(dict.fromkeys(row['session'] for row in self.rows))
 
     def sentences(self) -> list[str]:
-        """The findings for people."""
+        """Return the findings as text.
+
+        Returns
+        -------
+        list of str
+            One sentence per finding.
+        """
         said = [effect.sentence() for effect in self.effects]
         said += [f'{one.session} differs from the others: {one.title} {one.value:.3g}, usually '
                  f'{one.mean:.3g}{_scale_hint(one)}.' for one in self.unlike]
@@ -66,7 +92,13 @@ class Conclusions:
         return said
 
     def as_json(self) -> dict[str, Any]:
-        """The findings for programs, in the units of the names."""
+        """Return the findings for programs.
+
+        Returns
+        -------
+        dict of str to object
+            Values by name, in the units of the names.
+        """
         return {
             'sentences': self.sentences(),
             'sessions': len(self.sessions), 'particles': len(self.rows),
@@ -81,7 +113,18 @@ class Conclusions:
 
 
 def conclude(archive: Archive | str | Path) -> Conclusions:
-    """What an `archive`, or the one in a folder, says as a whole; nothing is computed anew."""
+    """Return the conclusions on an archive; nothing is computed anew.
+
+    Parameters
+    ----------
+    archive : Archive or str or Path
+        The archive, or its folder.
+
+    Returns
+    -------
+    Conclusions
+        The conclusions.
+    """
     if not isinstance(archive, Archive):
         archive = Archive(archive)
     measured = archive.results('measure')
@@ -109,7 +152,7 @@ def conclude(archive: Archive | str | Path) -> Conclusions:
 
 
 def _scale_hint(one: Unlike) -> str:
-    """What a speed that is a multiple of the others' most often is."""
+    """Return the usual cause of a speed that is a multiple of the others."""
     is_speed = one.title.startswith((NAMES['v_um_s'] + ' ', NAMES['gain_um_s_hz'] + ' '))
     ratio = one.value / one.mean if one.mean else 1.0
     if not is_speed or 1 / _MULTIPLE < ratio < _MULTIPLE:
@@ -118,7 +161,7 @@ def _scale_hint(one: Unlike) -> str:
 
 
 def _parameters(effect: Recurring, first: Mapping[str, Mapping[str, Any]]) -> list[Quantity]:
-    """The parameters of an effect in the sessions that have it."""
+    """Return the parameters of an effect in the sessions that have it."""
     found = []
     for name, estimates in effect.estimates.items():
         has = [path for path in effect.present if path in first]
@@ -128,7 +171,7 @@ def _parameters(effect: Recurring, first: Mapping[str, Mapping[str, Any]]) -> li
 
 
 def _by_name(effect: Recurring, first: Mapping[str, Mapping[str, Any]]) -> Recurring:
-    """With the names of sessions where there were paths."""
+    """Replace the paths of sessions by their names."""
     def name(path: str) -> str:
         return str(first[path]['session']) if path in first else path
 
@@ -149,7 +192,7 @@ def _quantity(one: Quantity) -> dict[str, Any]:
 
 
 def _spread(found: Spread | None) -> dict[str, Any] | None:
-    """Null for what is not finite: JSON knows no infinity."""
+    """Return a spread for JSON, with null for values that are not finite."""
     return None if found is None else {
         key: value if np.isfinite(value) else None for key, value in asdict(found).items()}
 
@@ -164,7 +207,18 @@ def _effect(effect: Recurring) -> dict[str, Any]:
 
 
 def refused(archive: Archive) -> dict[str, str]:
-    """{name: reason} of what could not be read or done in an `archive`."""
+    """Return why recordings of an archive could not be read or processed.
+
+    Parameters
+    ----------
+    archive : Archive
+        The archive.
+
+    Returns
+    -------
+    dict of str to str
+        Reason by name.
+    """
     found = {one.name: one.reason for one in archive.refused.values()}
     for entry in archive.entries.values():
         for key in entry.jobs.values():
@@ -174,6 +228,19 @@ def refused(archive: Archive) -> dict[str, str]:
 
 
 def listed(names: Sequence[str], most: int = 12) -> str:
-    """The first `most` of some `names`, and how many there are more."""
+    """Return the first names as text, and the number of the others.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names.
+    most : int
+        Largest number of names in the text.
+
+    Returns
+    -------
+    str
+        The text.
+    """
     more = len(names) - most
     return ', '.join(names[:most]) + (f' and {more} more' if more > 0 else '')

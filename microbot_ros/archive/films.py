@@ -1,4 +1,4 @@
-"""Films into tracks, frame by frame, and those tracks beside the table of the same name."""
+"""Tracks of films, frame by frame, and their comparison with the table of the same name."""
 
 from __future__ import annotations
 
@@ -20,20 +20,33 @@ from microbot_ros.tracking.teach.learn import learn_first
 from microbot_ros.tracking.teach.unprompted import evenly, without_prompt
 
 _LEAST_SHARE = 0.5
-"""Frames of the longest track in which another must be seen, too, to be compared."""
+"""Least number of frames of a compared track, as a part of the longest. Choice: a shorter track
+may agree by chance."""
 
 _CLEARER = 0.75
-"""RMS with steps of the window over that without, up to which the window is said to follow. A
-choice: a window that follows a resting dimer reaches 0.3, steps of chance 1."""
+"""RMS with steps of the window over that without, up to which the window is said to follow.
+Choice: a window that follows a resting dimer reaches 0.3, steps of chance 1."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How a `particle` of a film and a `robot` of the table agree in so many `frames`.
+    """Agreement of a particle of a film with a robot of its table.
 
-    `rms_px` is the root mean square of their difference per coordinate [px] after the constant
-    `offset_px`, table minus film (x, y down). `window_rms_px` is the same where the film shows a
-    window that follows the robot in whole pixels; None where that explains nothing.
+    Attributes
+    ----------
+    robot : int
+        Number of the robot.
+    particle : int
+        Number of the particle.
+    frames : int
+        Number of compared frames.
+    rms_px : float
+        Root mean square of the difference per coordinate [px], after the offset.
+    offset_px : tuple[float, float]
+        Constant offset, table minus film [px]; x, y down.
+    window_rms_px : float or None
+        The same RMS if the film shows a window that follows the robot in whole pixels; None if
+        that explains nothing.
     """
 
     robot: int
@@ -44,7 +57,18 @@ class Agreement:
     window_rms_px: float | None
 
     def sentence(self, table: str) -> str:
-        """The agreement with the `table` of that name, for people."""
+        """Return the agreement as text.
+
+        Parameters
+        ----------
+        table : str
+            Name of the table.
+
+        Returns
+        -------
+        str
+            The sentence.
+        """
         x, y = self.offset_px
         said = (f'robot {self.robot} of {table} is particle {self.particle}: RMS difference '
                 f'{self.rms_px:.2f} px per coordinate in {self.frames} frames after a constant '
@@ -55,21 +79,47 @@ class Agreement:
         return said
 
     def as_json(self) -> dict[str, Any]:
-        """The numbers, by the names of the fields."""
+        """Return the numbers by the names of the fields.
+
+        Returns
+        -------
+        dict of str to object
+            The numbers.
+        """
         return asdict(self)
 
 
 def track_film(files: Sequence[Path], tracks: Path, pixel_size: float | None,
                frame_rate: float | None, settings: TrackerSettings,
                table: Session | None = None) -> dict[str, Any]:
-    """Track a film, one file or its pictures in `files`, into the file `tracks`.
+    """Track a film into a file, whose rows are those of `microbot track`.
 
-    Rows are those of `microbot track`; those in metres are there where `pixel_size` [m] is known.
-    `frame_rate` [Hz] overrules the film's own, `settings` are the tracker's. `table` is the
-    session of the table of the same name: its times are those of the frames where it has as many,
-    and its positions are compared with the tracks. Returns what is to be told: frames, particles,
-    positions, remarks, and `beside_table`, a list of `Agreement`, with a table. InputError where
-    no frame can be decoded.
+    Parameters
+    ----------
+    files : sequence of Path
+        File of the film, or its pictures.
+    tracks : Path
+        File to write.
+    pixel_size : float or None
+        Size of a pixel [m]; None for unknown, without columns in metres.
+    frame_rate : float or None
+        Frame rate [Hz] in place of the film's own; None for that.
+    settings : TrackerSettings
+        Settings of the tracker.
+    table : Session or None
+        Session of the table of the same name. Its times are those of the frames if it has as many,
+        and its positions are compared with the tracks. None for no table.
+
+    Returns
+    -------
+    dict of str to object
+        Frames, particles, positions, remarks, and with a table `beside_table`, a list of
+        `Agreement`.
+
+    Raises
+    ------
+    InputError
+        If no frame can be decoded.
     """
     remarks: list[str] = []
     film: Source = VideoSource(files[0], remarks.append, frame_rate) if len(files) == 1 else (
@@ -104,9 +154,9 @@ def track_film(files: Sequence[Path], tracks: Path, pixel_size: float | None,
 
 
 def _track(film: Source, tracker: Tracker, rows: Rows, times: np.ndarray | None) -> list[str]:
-    """Fill the `rows`; returns a sentence on each kind of frame that was odd.
+    """Track the frames into rows; return a sentence on each kind of unusual frame.
 
-    `times` [s] of the frames in order are used instead of the film's own where they are known.
+    `times` [s] replace the film's own times; None for those.
     """
     odd = Remarks()
     for place, frame in enumerate(film.frames()):
@@ -123,20 +173,45 @@ def _track(film: Source, tracker: Tracker, rows: Rows, times: np.ndarray | None)
 
 
 def times_of_frames(session: Session, frames: int) -> np.ndarray | None:
-    """Return the times (frames,) [s] of a film's frames by the table that `session` is of.
+    """Return the times of a film's frames according to its table.
 
-    None where the table has another number of rows: nobody knows then which row is which frame.
+    Parameters
+    ----------
+    session : Session
+        Session of the table.
+    frames : int
+        Number of frames.
+
+    Returns
+    -------
+    ndarray, shape (frames,), or None
+        Times [s]; None if the table has another number of rows, as their frames are then unknown.
     """
     t = np.unique(session.tracks.t)
     return t if len(t) == frames else None
 
 
 def compare(tracks: Path, session: Session, frames: int, pixel_size: float) -> list[Agreement]:
-    """Compare the `tracks` of a film, a `tracks.csv`, with the positions of its table, `session`.
+    """Compare the tracks of a film with the positions of its table.
 
-    Each robot of the table is compared with the particle that is nearest to its motion. Row by row
-    where the table has as many times as the film has `frames`, else by the time since the first.
-    `pixel_size` [m] is that of the film.
+    Each robot of the table is compared with the particle of the nearest motion: row by row if the
+    table has as many times as the film has frames, else by the time since the first.
+
+    Parameters
+    ----------
+    tracks : Path
+        File of the tracks, a `tracks.csv`.
+    session : Session
+        Session of the table.
+    frames : int
+        Number of frames of the film.
+    pixel_size : float
+        Size of a pixel of the film [m].
+
+    Returns
+    -------
+    list of Agreement
+        Best agreement of each robot.
     """
     seen = _particles(tracks)
     longest = max((len(frame) for frame, _ in seen.values()), default=0)
@@ -162,7 +237,7 @@ def compare(tracks: Path, session: Session, frames: int, pixel_size: float) -> l
 
 
 def _particles(tracks: Path) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Return {particle: (its frames (n,), its places (n, 2) [px])} of a `tracks.csv`."""
+    """Return frames (n,) and places (n, 2) [px] of each particle in a `tracks.csv`."""
     rows: dict[int, list[tuple[float, float, float]]] = defaultdict(list)
     with tracks.open(encoding='utf-8') as stream:
         for row in csv.DictReader(stream):
@@ -174,9 +249,10 @@ def _particles(tracks: Path) -> dict[int, tuple[np.ndarray, np.ndarray]]:
 
 def _agreement(robot: int, particle: int, frame: np.ndarray, seen: np.ndarray,
                place: np.ndarray) -> Agreement | None:
-    """Return how the places `seen` (n, 2) [px] in frames (n,) agree with the table's `place`.
+    """Return how places `seen` (n, 2) [px] in frames (n,) agree with the table's `place`.
 
-    `place` (frames, 2) [px] is NaN where the table has none; None where they share no two frames.
+    `place` (frames, 2) [px] is NaN where the table has none; None if they share fewer than two
+    frames.
     """
     both = np.isfinite(place[frame]).all(axis=1)
     if both.sum() < 2:

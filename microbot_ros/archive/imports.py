@@ -1,4 +1,4 @@
-"""What the imports of an archive assumed, and which scales they found."""
+"""Assumptions and scales of the imports of an archive."""
 
 from __future__ import annotations
 
@@ -11,14 +11,24 @@ from microbot_ros.archive.store import Archive
 from microbot_ros.archive.work import Job
 
 _DOMINANT = 0.6
-"""Share of a folder's recordings from which the rest are unlike them."""
+"""Share of a folder's recordings of one pixel size from which the others are called different.
+Choice: a clear majority."""
 
 
 def imported(archive: Archive) -> dict[str, Any]:
-    """What was imported into an `archive`, as JSON has it.
+    """Return a summary of the imports, as in JSON.
 
-    `sessions`: how many; `assumed`: [{sentence, recordings}], the most common first;
-    `pixel_sizes`: {folder: {pixel size [µm]: recordings}}; `sentences` on folders of several.
+    Parameters
+    ----------
+    archive : Archive
+        The archive.
+
+    Returns
+    -------
+    dict of str to object
+        `sessions`: their number; `assumed`: [{sentence, recordings}], the most common first;
+        `pixel_sizes`: {folder: {pixel size [µm]: recordings}}; `sentences` on folders with
+        several.
     """
     made = {archive.entries[path].name: result
             for path, result in archive.results('import').items() if 'session' in result}
@@ -43,7 +53,7 @@ def imported(archive: Archive) -> dict[str, Any]:
 
 
 def _several(folder: str, sizes: dict[float, list[str]]) -> str:
-    """A sentence on a folder whose recordings have pixels of several sizes."""
+    """Return a sentence on a folder whose recordings have several pixel sizes."""
     counts = ', '.join(f'{size:g} µm in {len(of)}' for size, of in sorted(sizes.items()))
     sentence = f'{folder} has pixels of several sizes: {counts}'
     common, most = max(sizes.items(), key=lambda item: len(item[1]))
@@ -55,9 +65,19 @@ def _several(folder: str, sizes: dict[float, list[str]]) -> str:
 
 
 def siblings(archive: Archive, job: Job) -> str:
-    """What the recordings in the folder of a refused `job` say of the scale that it lacks.
+    """Return the scales of the recordings beside one whose import lacks a scale.
 
-    '' where its refusal is for another reason, or they say nothing.
+    Parameters
+    ----------
+    archive : Archive
+        The archive.
+    job : Job
+        The refused job.
+
+    Returns
+    -------
+    str
+        '' if it was refused for another reason, or if no scale is known.
     """
     reason = (archive.result(job.key) or {}).get('refused', '')
     if not re.search(r'^[^:]*: expected --(position-unit|pixel-size-um)', reason):

@@ -1,4 +1,4 @@
-"""Rig, batch, kind and day of a recording, and the options of its import, as people state them.
+"""Rig, batch, kind and day of a recording, and the options of its import, as stated by people.
 
 An `archive.yaml` in any folder states them for all recordings in it and below, and under `files`
 for single files, globs and folders. The most specific statement counts: that for a file before
@@ -26,11 +26,12 @@ from microbot_ros.session.spreadsheets.stated import Stated
 
 _DAY = re.compile(r'(?<!\d)(20\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)')
 _SINCE_NS = 946_684_800_000_000_000
-"""The year 2000: a recording whose clock says less was stamped by no calendar."""
+"""Time [ns since 1970] of the year 2000, before which no recording was made: its clock was not
+set."""
 
 
 class Statement(Stated):
-    """What `archive.yaml` states of recordings, all of it optional."""
+    """Statement of an `archive.yaml` on recordings; everything is optional."""
 
     rig: str | None = None
     batch: str | None = None
@@ -40,21 +41,41 @@ class Statement(Stated):
     @pydantic.field_validator('rig', 'batch', 'kind', mode='before')
     @classmethod
     def as_text(cls, value: object) -> object:
-        """Numbers are names, too."""
+        """Convert a number to text, as names may be numbers.
+
+        Parameters
+        ----------
+        value : object
+            Value in the file.
+
+        Returns
+        -------
+        object
+            The text, or the value unchanged.
+        """
         return str(value) if isinstance(value, int | float) else value
 
 
 class LabelFile(Statement):
-    """`archive.yaml`: a statement for its folder, and more under `files` {path or glob: ...}."""
+    """An `archive.yaml`: a statement for its folder, and more under `files` by path or glob."""
 
     files: dict[str, Statement] = pydantic.Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Labels:
-    """`rig` and `batch` by name, the `kind` of the particles, and the `day` of the recording.
+    """Labels of a recording; None for unknown ones.
 
-    None where nobody says.
+    Attributes
+    ----------
+    rig : str or None
+        Name of the rig.
+    batch : str or None
+        Name of the batch.
+    day : datetime.date or None
+        Day of the recording.
+    kind : str or None
+        Kind of the particles.
     """
 
     rig: str | None = None
@@ -64,12 +85,26 @@ class Labels:
 
 
 def labels_of(found: Found) -> Labels:
-    """What is known of a recording that was `found`.
+    """Return the labels of a recording.
 
     The day is that of `archive.yaml`, else that of the recording's own clock, else a date in the
-    names of file and folders, such as 2026-03-14. The kind is that of `archive.yaml`, else of
-    tables and films the name of their folder below the one that was asked for, unless that is a
-    date. InputError for an `archive.yaml` that is wrong.
+    names of file and folders, such as 2026-03-14. The kind is that of `archive.yaml`, else, for
+    tables and films, the name of their folder below the requested one, unless that is a date.
+
+    Parameters
+    ----------
+    found : Found
+        The recording.
+
+    Returns
+    -------
+    Labels
+        The labels.
+
+    Raises
+    ------
+    InputError
+        If an `archive.yaml` is not valid.
     """
     said = stated(found)
     day = said.get('recorded') or _clock(found) or _dated(found.name)
@@ -82,9 +117,22 @@ def labels_of(found: Found) -> Labels:
 
 
 def stated(found: Found) -> dict[str, Any]:
-    """All that `archive.yaml` files state of a recording that was `found`, by the keys they use.
+    """Return all statements of `archive.yaml` files on a recording.
 
-    InputError for an `archive.yaml` that is wrong.
+    Parameters
+    ----------
+    found : Found
+        The recording.
+
+    Returns
+    -------
+    dict of str to object
+        Values by key.
+
+    Raises
+    ------
+    InputError
+        If an `archive.yaml` is not valid.
     """
     known: dict[str, Any] = {}
     for statement in _statements(found):
@@ -95,8 +143,19 @@ def stated(found: Found) -> dict[str, Any]:
 
 
 def own_answers(found: Found, general: dict[str, Any]) -> dict[str, Any]:
-    """`Answers` of a recording's import as a dictionary: the `general` ones, and in their place
-    what `archive.yaml` states of the recording that was `found`.
+    """Return the answers for the import of a recording: general ones, replaced by stated ones.
+
+    Parameters
+    ----------
+    found : Found
+        The recording.
+    general : dict of str to object
+        General answers.
+
+    Returns
+    -------
+    dict of str to object
+        `Answers` as a dictionary.
     """
     said = {key: value for key, value in stated(found).items() if key in Stated.model_fields}
     own, unsaid = asdict(Stated(**said).answers()), asdict(Answers())
@@ -104,7 +163,7 @@ def own_answers(found: Found, general: dict[str, Any]) -> dict[str, Any]:
 
 
 def _statements(found: Found) -> Iterator[Statement]:
-    """The statements on a recording, the most specific first."""
+    """Yield the statements on a recording, the most specific first."""
     for folder in _upwards(found):
         if not (folder / LABELS).is_file():
             continue
@@ -119,7 +178,7 @@ def _statements(found: Found) -> Iterator[Statement]:
 
 
 def _upwards(found: Found) -> list[Path]:
-    """The folders of a recording, from its own up to where it was looked for."""
+    """Return the folders of a recording, from its own up to the requested one."""
     first = found.path if found.path.is_dir() else found.path.parent
     folders = [first, *first.parents]
     return folders[:folders.index(found.top) + 1]
@@ -138,7 +197,7 @@ def _clock(found: Found) -> datetime.date | None:
 
 
 def _dated(name: str) -> datetime.date | None:
-    """The last date in a name that is one."""
+    """Return the last valid date in a name."""
     for year, _, month, day in reversed(_DAY.findall(name)):
         try:
             return datetime.date(int(year), int(month), int(day))

@@ -1,8 +1,8 @@
-"""How large given effects are in one session, whether or not anything was found there.
+"""Size of given effects in one session, whether or not they were found there.
 
-An archive must not learn how an effect spreads from those sessions alone in which it was large
-enough to be found: each is asked for its own estimate, with its error, and for how much likelier
-it makes the data.
+The spread of an effect must not be estimated only from those sessions in which it was large enough
+to be found: each session gives its own estimate, with its error, and the likelihood ratio of the
+effect.
 """
 
 from __future__ import annotations
@@ -22,13 +22,24 @@ from microbot_ros.model.model import Model
 
 def measure(session: Session, effects: list[str], known: dict[str, dict[str, float]],
             reference_field: float) -> dict[str, Any]:
-    """Estimates of each of `effects` in a `session`, beside the effects `known` there, as JSON has
-    them.
+    """Estimate effects in a session.
 
-    `known`: {effect: {parameter: value in the unit of its name}}. `reference_field` [T] is the one
-    at which all sessions state their alignment times. Returns {effect: {'parameters': {name: [x,
-    std]}, 'likelihood_ratio', 'dof', 'p_value'}}, x and std in fit coordinates; null where the
-    session can't show the effect.
+    Parameters
+    ----------
+    session : Session
+        The session.
+    effects : list of str
+        Ids of the effects.
+    known : dict[str, dict of str to float]
+        Effects that are known there: values by parameter, in the units of the names, by id.
+    reference_field : float
+        Field [T] at which all sessions state their alignment times.
+
+    Returns
+    -------
+    dict of str to object
+        As in JSON: {effect: {'parameters': {name: [x, std]}, 'likelihood_ratio', 'dof',
+        'p_value'}}, x and std in fit coordinates; null if the session cannot show the effect.
     """
     [prepared], _ = check_sessions([session])
     conditions = replace(session.conditions, reference_field=reference_field)

@@ -1,4 +1,4 @@
-"""v, φ, D and σ over an archive: by session, by rig, batch and day; who is unlike, what drifts."""
+"""v, φ, D and σ over an archive: by session, rig, batch and day; outliers and drifts."""
 
 from __future__ import annotations
 
@@ -17,19 +17,36 @@ NAMES = {'v_um_s': 'v', 'gain_um_s_hz': 'gain', 'phi_rad': 'φ', 'diffusion_um2_
          'localisation_um': 'σ'}
 LABELS = ('rig', 'batch', 'day', 'particle_kind')
 DRIFTS = 0.01
-"""Chance, over all that is looked at, below which a trend or an odd session is told."""
+"""Probability, over all comparisons, below which a trend or an unusual session is reported.
+Choice: one false report in a hundred archives."""
 
 _TOGETHER = 0.7
-"""Length of the mean of e^{iφ} from which angles have a mean that means something."""
+"""Length of the mean of e^{iφ} above which angles have a meaningful mean. Choice: at 0.7 they
+spread by about 50°, so that jumps at ±π are rare."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity by the `name` that carries its unit: a value (K,) and its std (K,) a session.
+    """A quantity with one value per session.
 
-    `particles_between`: standard deviation between the particles of a session, beyond their
-    errors. `groups`: {label: {rig, batch, day or kind: indices of its sessions}}. `of_kind`: the
-    kind of particles that all are of, '' where that is not one.
+    Attributes
+    ----------
+    name : str
+        Its name, which contains its unit.
+    sessions : tuple of str
+        Names of the K sessions.
+    days : ndarray, shape (K,)
+        Days of the sessions; NaN for unknown.
+    value : ndarray, shape (K,)
+        Values.
+    std : ndarray, shape (K,)
+        Standard deviations of the values.
+    particles_between : float
+        Standard deviation between the particles of a session, beyond their errors.
+    groups : dict[str, dict of str to list of int]
+        Indices of the sessions of each rig, batch, day or kind, by label.
+    of_kind : str
+        Common kind of particles; '' for none.
     """
 
     name: str
@@ -43,12 +60,18 @@ class Quantity:
 
     @property
     def title(self) -> str:
-        """For people: 'v (µm/s)'."""
+        """Title for people, such as 'v (µm/s)'."""
         name = self.name
         return f'{NAMES.get(name, name)} ({symbol(name)})' if symbol(name) else name
 
     def by_kind(self) -> list[Quantity]:
-        """The same for the sessions of each kind of particles apart, and for those of none."""
+        """Return the quantity separately for each kind of particles, and for those without a kind.
+
+        Returns
+        -------
+        list of Quantity
+            One quantity per kind.
+        """
         kinds = self.groups['particle_kind']
         if not kinds:
             return [self]
@@ -66,21 +89,43 @@ class Quantity:
 
     @property
     def spread(self) -> Spread | None:
-        """Between all sessions."""
+        """Spread between all sessions."""
         return spread(self.value, self.std)
 
     @property
     def trend(self) -> Trend | None:
-        """Per week; None where too few sessions have a day."""
+        """Trend per week; None if too few sessions have a day."""
         return trend(self.days / 7, self.value, self.std)
 
     def by(self, label: str) -> dict[str, Spread]:
-        """Mean and spread of the sessions of each rig, batch or day, as `label` says."""
+        """Return mean and spread of the sessions of each rig, batch or day.
+
+        Parameters
+        ----------
+        label : str
+            One of LABELS.
+
+        Returns
+        -------
+        dict of str to Spread
+            Spread by group.
+        """
         return {group: found for group, of in self.groups[label].items()
                 if (found := spread(self.value[of], self.std[of]))}
 
     def between(self, label: str) -> Spread | None:
-        """The spread between rigs, batches or days, as `label` says, beside that within them."""
+        """Return the spread between rigs, batches or days, in addition to that within them.
+
+        Parameters
+        ----------
+        label : str
+            One of LABELS.
+
+        Returns
+        -------
+        Spread or None
+            None for fewer than two groups.
+        """
         means = list(self.by(label).values())
         if len(means) < 2:
             return None
@@ -89,7 +134,18 @@ class Quantity:
 
 
 def quantities(rows: Sequence[Mapping[str, Any]]) -> list[Quantity]:
-    """Every quantity that the `rows` of the archive's table know, in the order of `NAMES`."""
+    """Return every quantity in the rows, in the order of `NAMES`.
+
+    Parameters
+    ----------
+    rows : sequence of mapping of str to object
+        Rows of the archive's table.
+
+    Returns
+    -------
+    list of Quantity
+        The quantities.
+    """
     sessions = [list(group) for _, group in groupby(rows, key=lambda row: row['session'])]
     return [found for name in NAMES if (found := _quantity(name, sessions))]
 
@@ -117,9 +173,25 @@ def _quantity(name: str, sessions: Sequence[Sequence[Mapping[str, Any]]]) -> Qua
 
 def of_sessions(name: str, rows: Sequence[Mapping[str, Any]], value: np.ndarray, std: np.ndarray,
                 particles_between: float = 0.0) -> Quantity:
-    """A quantity of that `name` from one `value` (K,) ± `std` (K,) for each of some sessions.
+    """Return a quantity from one value per session.
 
-    `rows`: one of the table for each session; `particles_between` as of `Quantity`.
+    Parameters
+    ----------
+    name : str
+        Name of the quantity.
+    rows : sequence of mapping of str to object
+        One row of the table for each session.
+    value : ndarray, shape (K,)
+        Values.
+    std : ndarray, shape (K,)
+        Standard deviations of the values.
+    particles_between : float
+        As of `Quantity`.
+
+    Returns
+    -------
+    Quantity
+        The quantity.
     """
     days = np.array([row['day'].toordinal() if row.get('day') else np.nan for row in rows], float)
     groups: dict[str, dict[str, list[int]]] = {label: {} for label in LABELS}
@@ -137,7 +209,7 @@ def _group(value: str | datetime.date) -> str:
 
 
 def _about_their_mean(estimates: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Angles without a jump at ±π; none where they point everywhere."""
+    """Return angles without a jump at ±π; empty if they have no meaningful mean."""
     mean = np.exp(1j * np.concatenate([pairs[:, 0] for pairs in estimates])).mean()
     if abs(mean) < _TOGETHER:
         return []
@@ -148,8 +220,9 @@ def _about_their_mean(estimates: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def _between_particles(estimates: Iterable[np.ndarray]) -> float:
-    """The variance between particles of one session, by moments over all sessions (DerSimonian and
-    Laird 1986).
+    """Return the variance between particles of one session, by moments over all sessions.
+
+    The estimator is that of DerSimonian and Laird (1986).
     """
     excess = weight = 0.0
     for pairs in estimates:
@@ -162,8 +235,20 @@ def _between_particles(estimates: Iterable[np.ndarray]) -> float:
 
 @dataclass(frozen=True)
 class Unlike:
-    """A `session` whose `value` of a quantity, the `title` of which has its unit, is unlike those
-    of the others, whose `mean` is given; `p_value` is the chance of it, for this one alone.
+    """A session that differs from the others in a quantity.
+
+    Attributes
+    ----------
+    session : str
+        Its name.
+    title : str
+        Title of the quantity, with its unit.
+    value : float
+        Its value.
+    mean : float
+        Mean of the others.
+    p_value : float
+        Probability of such a difference by chance, for this session alone.
     """
 
     session: str
@@ -174,7 +259,18 @@ class Unlike:
 
 
 def unlike_the_others(known: Sequence[Quantity]) -> list[Unlike]:
-    """Sessions that are unlike the others in one of the quantities `known`, the oddest first."""
+    """Return sessions that differ from the others in a quantity, the most unusual first.
+
+    Parameters
+    ----------
+    known : sequence of Quantity
+        Quantities.
+
+    Returns
+    -------
+    list of Unlike
+        The sessions.
+    """
     chances = [unlike(one.value, one.std) for one in known]
     asked = max(sum(int(np.isfinite(chance).sum()) for chance in chances), 1)
     found = [
@@ -185,7 +281,18 @@ def unlike_the_others(known: Sequence[Quantity]) -> list[Unlike]:
 
 
 def drifting(known: Sequence[Quantity]) -> list[tuple[Quantity, Trend]]:
-    """Those of the quantities `known` that drift over the weeks."""
+    """Return the quantities that drift over the weeks.
+
+    Parameters
+    ----------
+    known : sequence of Quantity
+        Quantities.
+
+    Returns
+    -------
+    list of tuple[Quantity, Trend]
+        Quantities with their trends.
+    """
     found = [(one, one.trend) for one in known]
     asked = sum(line is not None for _, line in found)
     return [(one, line) for one, line in found

@@ -1,4 +1,4 @@
-"""How estimates spread between sessions, beside how well each session knows its own.
+"""Spread of estimates between sessions, in addition to the error of each session.
 
 Session i gives y_i = μ + a_i + e_i with a known variance s_i² of e_i; a_i, its own deviation, has
 the variance τ² between sessions. τ² is where Cochran's Q with weights 1/(s_i² + τ²) has its
@@ -15,17 +15,37 @@ from scipy.optimize import brentq
 from scipy.special import chdtrc, chdtri, stdtr, stdtrit
 
 _TAIL = 0.025
+"""Probability of each tail of a 95 % interval, by definition."""
 
 
 @dataclass(frozen=True)
 class Spread:
     """Mean and spread between sessions of one quantity, in its own unit.
 
-    `count` of sessions; `mean` with `mean_std` and its 95 % interval from `mean_low` to
-    `mean_high`; `between`, the standard deviation between sessions, from `between_low` to
-    `between_high`; `within`, the usual standard deviation of one session's estimate;
-    `p_value`, the chance of so much scatter with none between sessions. Infinite or NaN where too
-    few sessions tell nothing.
+    Values are infinite or NaN if the sessions are too few to determine them.
+
+    Attributes
+    ----------
+    count : int
+        Number of sessions.
+    mean : float
+        Mean.
+    mean_std : float
+        Standard deviation of the mean.
+    mean_low : float
+        Lower end of its 95 % interval.
+    mean_high : float
+        Upper end.
+    between : float
+        Standard deviation between sessions.
+    between_low : float
+        Lower end of its 95 % interval.
+    between_high : float
+        Upper end.
+    within : float
+        Usual standard deviation of the estimate of one session.
+    p_value : float
+        Probability of so much scatter without a spread between sessions.
     """
 
     count: int
@@ -41,9 +61,19 @@ class Spread:
 
 
 def spread(values: np.ndarray, stds: np.ndarray) -> Spread | None:
-    """The spread of `values` (K,) with standard deviations `stds` (K,); None where there is none.
+    """Return mean and spread of values; values that are not finite or have no error are left out.
 
-    What is not finite, or stated without error, is left out.
+    Parameters
+    ----------
+    values : ndarray, shape (K,)
+        Values.
+    stds : ndarray, shape (K,)
+        Standard deviations of the values.
+
+    Returns
+    -------
+    Spread or None
+        None if no value remains.
     """
     known = np.isfinite(values) & np.isfinite(stds) & (stds > 0)
     y, s = values[known], stds[known]
@@ -66,14 +96,40 @@ def spread(values: np.ndarray, stds: np.ndarray) -> Spread | None:
 
 
 def between_variance(values: np.ndarray, stds: np.ndarray) -> float:
-    """Paule and Mandel's variance between `values` (K,) beyond that of their `stds` (K,)."""
+    """Return Paule and Mandel's variance between values, beyond that of their errors.
+
+    Parameters
+    ----------
+    values : ndarray, shape (K,)
+        Values.
+    stds : ndarray, shape (K,)
+        Standard deviations of the values.
+
+    Returns
+    -------
+    float
+        The variance.
+    """
     return _variance_where(values, stds, len(values) - 1)
 
 
 def mean_of(values: np.ndarray, stds: np.ndarray, variance: float) -> tuple[float, float]:
-    """The weighted mean of `values` (K,) with `stds` (K,) and a `variance` between them.
+    """Return the weighted mean of values.
 
-    With its standard deviation, Hartung and Knapp's, not below that of the weights alone.
+    Parameters
+    ----------
+    values : ndarray, shape (K,)
+        Values.
+    stds : ndarray, shape (K,)
+        Standard deviations of the values.
+    variance : float
+        Variance between the values.
+
+    Returns
+    -------
+    tuple[float, float]
+        The mean, and its standard deviation by Hartung and Knapp, not below that of the weights
+        alone.
     """
     weight = 1 / (stds**2 + variance)
     mean = float((weight * values).sum() / weight.sum())
@@ -82,14 +138,14 @@ def mean_of(values: np.ndarray, stds: np.ndarray, variance: float) -> tuple[floa
 
 
 def _q(y: np.ndarray, s: np.ndarray, variance: float) -> float:
-    """Cochran's Q, which falls as `variance` grows."""
+    """Return Cochran's Q, which decreases with `variance`."""
     weight = 1 / (s**2 + variance)
     mean = (weight * y).sum() / weight.sum()
     return float((weight * (y - mean) ** 2).sum())
 
 
 def _variance_where(y: np.ndarray, s: np.ndarray, q: float) -> float:
-    """The variance between sessions at which Q is `q`; 0 where it is less without any."""
+    """Return the variance between sessions at which Q is `q`; 0 if Q is less without variance."""
     if _q(y, s, 0.0) <= q:
         return 0.0
     high = float(np.var(y) + s.max() ** 2)
@@ -101,7 +157,17 @@ def _variance_where(y: np.ndarray, s: np.ndarray, q: float) -> float:
 
 @dataclass(frozen=True)
 class Trend:
-    """A `slope` per unit of time, its `std`, and the chance `p_value` of it without any trend."""
+    """A linear trend.
+
+    Attributes
+    ----------
+    slope : float
+        Slope per unit of time.
+    std : float
+        Its standard deviation.
+    p_value : float
+        Its probability without any trend.
+    """
 
     slope: float
     std: float
@@ -109,11 +175,24 @@ class Trend:
 
 
 def trend(times: np.ndarray, values: np.ndarray, stds: np.ndarray) -> Trend | None:
-    """A straight line through `values` (K,) with `stds` (K,) at `times` (K,).
+    """Fit a straight line to values.
 
     Sessions scatter about it with a variance of their own, estimated by moments (DerSimonian and
-    Laird 1986, for a regression), and the test is Knapp and Hartung's (2003). None with fewer than
-    five sessions, or all at one time.
+    Laird 1986, for a regression), and the test is that of Knapp and Hartung (2003).
+
+    Parameters
+    ----------
+    times : ndarray, shape (K,)
+        Times.
+    values : ndarray, shape (K,)
+        Values.
+    stds : ndarray, shape (K,)
+        Standard deviations of the values.
+
+    Returns
+    -------
+    Trend or None
+        None with fewer than five sessions, or if all are at one time.
     """
     known = np.isfinite(times) & np.isfinite(values) & np.isfinite(stds) & (stds > 0)
     x, y, s = times[known], values[known], stds[known]
@@ -140,10 +219,22 @@ def _residual_variance(columns: np.ndarray, y: np.ndarray, s: np.ndarray) -> flo
 
 
 def unlike(values: np.ndarray, stds: np.ndarray) -> np.ndarray:
-    """The chance (K,) that each of `values` (K,) with `stds` (K,) is as far from all the others.
+    """Return the probability that each value is as far from all the others by chance.
 
-    By what the others say of mean and spread, which what is unlike them would blur; NaN where it
-    or they are too few to tell. One at a time: who asks K times pays for it.
+    Mean and spread are those of the others, which an outlier would distort. It is for one value at
+    a time: a caller that tests K values must correct for it.
+
+    Parameters
+    ----------
+    values : ndarray, shape (K,)
+        Values.
+    stds : ndarray, shape (K,)
+        Standard deviations of the values.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+        Probabilities; NaN for values that are not finite, and for fewer than five values.
     """
     chances = np.full(len(values), np.nan)
     known = np.flatnonzero(np.isfinite(values) & np.isfinite(stds) & (stds > 0))

@@ -1,7 +1,7 @@
-"""Recordings among the files of a laboratory, found by what files hold, whatever they are called.
+"""Recordings among the files of a laboratory, found by the content of files, not their names.
 
-A folder with `tracks.csv` is a session and one of MCAP files a recording, as everywhere here; of
-all other files the first bytes, or the columns of a table, say what they are.
+A folder with `tracks.csv` is a session and one of MCAP files a recording, as everywhere; the first
+bytes of all other files, or the columns of a table, show what they are.
 """
 
 from __future__ import annotations
@@ -24,16 +24,18 @@ from microbot_ros.session.spreadsheets.summary import summary_of
 
 Kind = Literal['session', 'recording', 'film', 'table']
 MARK = '.microbot'
-"""Hidden folder by which an archive is known; what lies in an archive is found if asked for."""
+"""Hidden folder that marks an archive; recordings in an archive are found only if it is
+requested."""
 
 LABELS = 'archive.yaml'
 _SESSION = ('tracks.csv', 'commands.csv', 'session.yaml')
 _SHEETS = ('.csv', '.tsv', '.xlsx', '.xlsm')
 _CLAIMS = (*_SHEETS, '.xls', '.mcap', '.db3', '.avi', '.mp4', '.mov', '.mkv', '.webm', '.m4v')
-"""Endings of files that somebody takes for recordings: where they are none it is said."""
+"""Endings of files that people take for recordings: if they are none, that is reported."""
 
 _MOST_TEXT = 2**28
-"""Bytes of the longest text that is looked at for a table."""
+"""Largest text that is examined for a table [bytes]. Choice: 256 MB, as a table is read into
+memory as a whole."""
 
 # Where they stand → bytes → what files that begin so are.
 _MAGIC: tuple[tuple[int, bytes, str], ...] = (
@@ -45,11 +47,24 @@ _MAGIC: tuple[tuple[int, bytes, str], ...] = (
     (4, b'moov', 'film'), (0, b'\x30\x26\xb2\x75', 'film'), (0, b'FLV', 'film'),
     (0, b'GIF8', 'film'), (0, b'\0\0\x01\xba', 'film'), (0, b'\0\0\x01\xb3', 'film'),
 )
+"""Offset and first bytes of types of files, by the definitions of their formats."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """A recording of a `kind` at `path`, made of `files`, found below the folder `top`."""
+    """A recording.
+
+    Attributes
+    ----------
+    path : Path
+        Its path.
+    kind : Kind
+        Its kind.
+    top : Path
+        Requested folder in which it was found.
+    files : tuple of Path
+        Its files.
+    """
 
     path: Path
     kind: Kind
@@ -58,13 +73,23 @@ class Found:
 
     @property
     def name(self) -> str:
-        """For people: from the folder on that was asked for."""
+        """Name for people: the path from the requested folder on."""
         return str(self.path.relative_to(self.top.parent))
 
 
 @dataclass(frozen=True)
 class Refused:
-    """What can't be read, found below the folder `top`: its `name` and the `reason`."""
+    """A file or folder that cannot be read.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    reason : str
+        Why.
+    top : str
+        Requested folder in which it was found.
+    """
 
     name: str
     reason: str
@@ -72,23 +97,51 @@ class Refused:
 
     @classmethod
     def of(cls, path: Path, top: Path, error: OSError | str) -> Refused:
-        """The file or folder at `path` below `top`, and the `error` or what is wrong with it."""
+        """Return the refusal of a path.
+
+        Parameters
+        ----------
+        path : Path
+            The file or folder.
+        top : Path
+            Requested folder in which it was found.
+        error : OSError or str
+            Error, or the reason.
+
+        Returns
+        -------
+        Refused
+            The refusal.
+        """
         reason = error if isinstance(error, str) else error.strerror or str(error)
         return cls(str(path.relative_to(top.parent)), reason, str(top))
 
 
 class FileCards:
-    """What files are and what they hold, asked of a file again only when it has changed.
+    """Types and digests of files, determined again only if a file has changed.
 
-    `known`: {path: [bytes, time of change [ns], what it is or '', SHA-256 or '']}, as it is kept.
+    Parameters
+    ----------
+    known : dict of str to list of object
+        {path: [bytes, time of change [ns], type or '', SHA-256 or '']}, as it is stored.
     """
 
     def __init__(self, known: dict[str, list[Any]]) -> None:
         self.known = known
 
     def what(self, file: Path) -> str:
-        """'mcap', 'sqlite', 'image', 'film', 'positions', 'commands', 'spreadsheet', 'empty' or
-        'other', or a sentence on why a `file` is no table.
+        """Return the type of a file.
+
+        Parameters
+        ----------
+        file : Path
+            The file.
+
+        Returns
+        -------
+        str
+            'mcap', 'sqlite', 'image', 'film', 'positions', 'commands', 'spreadsheet', 'empty',
+            'other', or a sentence on why it is no table.
         """
         card = self._card(file)
         if not card[2]:
@@ -96,7 +149,23 @@ class FileCards:
         return str(card[2])
 
     def digest(self, file: Path) -> str:
-        """SHA-256 of the content of a `file`; OSError where it can't be read."""
+        """Return the SHA-256 of the content of a file.
+
+        Parameters
+        ----------
+        file : Path
+            The file.
+
+        Returns
+        -------
+        str
+            Hexadecimal digest.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read.
+        """
         card = self._card(file)
         if not card[3]:
             with file.open('rb') as stream:
@@ -113,9 +182,21 @@ class FileCards:
 
 
 def content_of(found: Found, cards: FileCards) -> str:
-    """A digest of all that a recording holds, wherever it lies and whatever it is called.
+    """Return a digest of the content of a recording, independent of its place and name.
 
-    Of files by their `cards`; the names of files count only where they say what a file is.
+    The names of its files count only if they determine the type of a file.
+
+    Parameters
+    ----------
+    found : Found
+        The recording.
+    cards : FileCards
+        Types and digests of files.
+
+    Returns
+    -------
+    str
+        Hexadecimal digest.
     """
     named = found.kind in ('session', 'table')
     parts = [f'{file.name if named and len(found.files) > 1 else ""} {cards.digest(file)}'
@@ -124,10 +205,26 @@ def content_of(found: Found, cards: FileCards) -> str:
 
 
 def find(folders: Sequence[Path], cards: FileCards) -> Iterator[Found | Refused]:
-    """Every recording in `folders`, and what looks like one and is none; files by their `cards`.
+    """Find all recordings in folders, and files that look like one and are none.
 
-    In the order of names. Hidden files are left out, and archives within a folder. InputError for
-    a folder that is not there.
+    Hidden files and archives within a folder are left out.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Folders.
+    cards : FileCards
+        Types and digests of files.
+
+    Yields
+    ------
+    Found or Refused
+        In the order of names.
+
+    Raises
+    ------
+    InputError
+        If a folder does not exist.
     """
     seen: set[Path] = set()
     for folder in folders:
@@ -183,7 +280,7 @@ def _in_folder(here: Path, files: list[Path], top: Path, cards: FileCards,
 
 
 def _refused(kinds: dict[str, list[Path]], top: Path) -> Iterator[Refused]:
-    """Files that claim to be recordings and are none, of those of other `kinds`."""
+    """Yield files that claim to be recordings and are none."""
     reasons = {
         'sqlite': 'a bag of sqlite3: expected MCAP; convert it with ros2 bag convert',
         'empty': 'an empty file',
@@ -196,7 +293,7 @@ def _refused(kinds: dict[str, list[Path]], top: Path) -> Iterator[Refused]:
 
 
 def _what(file: Path, size: int) -> str:
-    """What a file of so many bytes (`size`) is; see `FileCards.what`."""
+    """Return the type of a file; see `FileCards.what`."""
     if not size:
         return 'empty'
     with file.open('rb') as stream:
@@ -220,7 +317,7 @@ def _is_workbook(file: Path) -> bool:
 
 
 def _table(file: Path) -> str:
-    """'positions', 'commands', or why a text is no table of either."""
+    """Return 'positions', 'commands', or why a text is neither."""
     try:
         [sheet], _ = read_sheets(file)
         columns = find_columns(sheet, {})
@@ -237,7 +334,17 @@ def _table(file: Path) -> str:
 
 
 def pairs(found: Sequence[Found]) -> dict[Path, Found]:
-    """Return the table of each film that lies beside it under its name: {path of a film: table}.
+    """Return the table of each film that lies beside it under its name.
+
+    Parameters
+    ----------
+    found : sequence of Found
+        Recordings.
+
+    Returns
+    -------
+    dict of Path to Found
+        Table by path of the film.
     """
     films: dict[tuple[Path, str], list[Path]] = defaultdict(list)
     tables: dict[tuple[Path, str], list[Found]] = defaultdict(list)
@@ -253,9 +360,21 @@ def pairs(found: Sequence[Found]) -> dict[Path, Found]:
 
 def in_parallel(found: Sequence[Found], cards: FileCards,
                 report: Callable[[str], None]) -> Iterator[tuple[Found, str] | Refused]:
-    """Those `found` with the digests of their content, in their order, read by several threads.
+    """Read recordings in several threads and compute the digests of their content.
 
-    Files by their `cards`. `report` is told of each that is read for the first time.
+    Parameters
+    ----------
+    found : sequence of Found
+        Recordings.
+    cards : FileCards
+        Types and digests of files.
+    report : callable
+        Function that is called with a sentence on each.
+
+    Yields
+    ------
+    tuple of (Found, str), or Refused
+        Recording and digest, in the order given.
     """
     from concurrent.futures import ThreadPoolExecutor
 

@@ -1,14 +1,15 @@
-"""Effects that recur over an archive: in which sessions they are, and how their parameters spread.
+"""Effects that recur over an archive: their sessions, and the spread of their parameters.
 
-Session i estimates the parameters of an effect as y_i ± s_i and has it likelier by the ratio
-exp(LR_i/2). A share π of the sessions has the effect, with parameters that are normal about μ with
-variances τ² between sessions; the rest has it not. The odds of session i are then
+Session i estimates the parameters of an effect as y_i ± s_i, and the effect has the likelihood
+ratio exp(LR_i/2) there. A share π of the sessions has the effect, with parameters that are normal
+about μ with variances τ² between sessions; the others do not have it. The odds of session i are
+then
 
     π/(1 − π) · exp(LR_i/2) · Π √(s_i²/(s_i² + τ²)) · exp(−(y_i − μ)²/2(s_i² + τ²))
 
-with π, μ, τ² fitted to all sessions in turns (two-groups model, Efron 2008; empirical Bayes). So a
-weak session counts with what the others know, and "absent" means that an effect of that size would
-have been seen.
+with π, μ, τ² fitted to all sessions in alternation (two-groups model, Efron 2008; empirical
+Bayes). So a weak session is judged with the knowledge of the others, and "absent" means that an
+effect of that size would have been seen.
 """
 
 from __future__ import annotations
@@ -27,31 +28,44 @@ from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.parameter import Parameter
 
 SURE = 0.95
-"""Probability from which an effect is said to be in a session, or in its absence not."""
+"""Probability from which an effect is called present in a session; one minus it for absent.
+Choice: the usual 95 %."""
 
 BY_CHANCE = 0.01
-"""Chance per session of a name that is wrong, as `discover` keeps it."""
+"""Probability per session of a wrong name, as guaranteed by `discover`."""
 
 WORTH = float(np.log(20))
-"""Gain in log likelihood over all sessions, parameters paid for, that an effect has to bring."""
+"""Gain in log likelihood over all sessions, less the price of parameters, that an effect must
+bring. Choice: odds of 20 to 1."""
 
 VARIES = 0.01
-"""Chance below which a parameter is said to vary between sessions."""
+"""Probability below which a parameter is said to vary between sessions. Choice: the 1 % of the
+other tests."""
 
 _ROUNDS = 50
+"""Largest number of alternations. Choice: ends a case that does not converge; more cost little."""
 
 Results = Mapping[str, dict[str, Any]]
-"""{session: result of a job}."""
+"""Result of a job by session."""
 
 
 @dataclass(frozen=True)
 class Recurring:
-    """The effect `id` over an archive: the `probability` that it is in each session.
+    """An effect over an archive.
 
-    `unseen`: sessions that can't show it. `parameters`: how each spreads between the sessions
-    that have it, in the `unit` that it is given in: that of its name, or where the effect vanishes
-    at infinity the reciprocal's; angles of a shape are left out. `estimates`: {parameter:
-    {session: (value, standard deviation)}} in the same units.
+    Attributes
+    ----------
+    id : str
+        Its id.
+    probability : dict of str to float
+        Probability that it is present, by session.
+    unseen : tuple of str
+        Sessions that cannot show it.
+    parameters : dict of str to Spread
+        Spread of each parameter between the sessions that have it, in the unit of its name; if the
+        effect vanishes at infinity that of the reciprocal. Angles of a shape are left out.
+    estimates : dict[str, dict[str, tuple[float, float]]]
+        {parameter: {session: (value, standard deviation)}} in the same units.
     """
 
     id: str
@@ -72,23 +86,40 @@ class Recurring:
 
     @property
     def undecided(self) -> list[str]:
-        """Sessions that can't tell."""
+        """Sessions that do not decide."""
         told = {*self.present, *self.absent}
         return [*(name for name in self.probability if name not in told), *self.unseen]
 
     @property
     def varying(self) -> list[str]:
-        """The parameters that differ between sessions by more than their errors."""
+        """Parameters that differ between sessions by more than their errors."""
         return [name for name, found in self.parameters.items()
                 if found.p_value * len(self.parameters) < VARIES]
 
     def unit(self, name: str) -> str:
-        """The unit in which a parameter of that `name` is given here."""
+        """Return the unit in which a parameter is given here.
+
+        Parameters
+        ----------
+        name : str
+            Name of the parameter.
+
+        Returns
+        -------
+        str
+            The unit.
+        """
         of = next(p for p in EFFECTS[self.id].parameters() if p.name == name)
         return f'1/({symbol(name)})' if of.inverse else symbol(name)
 
     def sentence(self) -> str:
-        """Where it is and whether it is the same everywhere."""
+        """Return the sessions of the effect, and whether its parameters are common, as text.
+
+        Returns
+        -------
+        str
+            The sentence.
+        """
         known = len(self.probability)
         where = (f'in all {known} sessions' if len(self.present) == known else
                  f'in {len(self.present)} of {known} sessions')
@@ -102,10 +133,21 @@ class Recurring:
 
 
 def candidates_for_all(results: Results) -> list[str]:
-    """Return the effects that `discover`'s `results` ask to be measured in every complete session.
+    """Return the effects to measure in every complete session.
 
-    Those that are established in more sessions than chance would give, and those whose evidence,
-    too weak in each, is none by chance over all. Proxies are no names.
+    These are effects that are established in more sessions than by chance, and effects whose
+    evidence is significant over all sessions though too weak in each. Proxies do not count as
+    names.
+
+    Parameters
+    ----------
+    results : Results
+        Results of `discover` by session.
+
+    Returns
+    -------
+    list of str
+        Ids of the effects.
     """
     known = [one for one in results.values() if is_complete(one)]
     named = Counter(effect['id'] for one in known for effect in one['result']['effects']
@@ -125,14 +167,33 @@ def candidates_for_all(results: Results) -> list[str]:
 
 
 def is_complete(result: dict[str, Any]) -> bool:
-    """Return whether the `result` of a session explains it: only then do its effects count."""
+    """Return whether a result explains its session: only then do its effects count.
+
+    Parameters
+    ----------
+    result : dict of str to object
+        Result of `discover`.
+
+    Returns
+    -------
+    bool
+        Whether it does.
+    """
     return 'result' in result and result['result'].get('verdict') != 'unnamed'
 
 
 def proxies(results: Results) -> dict[str, list[str]]:
-    """Return the sessions in which each effect only stands in for something without a name.
+    """Return the sessions in which each effect only stands for an unnamed one.
 
-    {effect: [session]}, the effect with most sessions first, of `discover`'s `results`.
+    Parameters
+    ----------
+    results : Results
+        Results of `discover` by session.
+
+    Returns
+    -------
+    dict of str to list of str
+        Sessions by effect, the effect with most sessions first.
     """
     found: dict[str, list[str]] = {}
     for session, one in results.items():
@@ -143,20 +204,42 @@ def proxies(results: Results) -> dict[str, list[str]]:
 
 
 def common_reference(results: Results) -> float:
-    """The field [T] at which alignment times are stated: that of most sessions of `results`."""
+    """Return the field at which alignment times are stated: that of most sessions.
+
+    Parameters
+    ----------
+    results : Results
+        Results of `discover` by session.
+
+    Returns
+    -------
+    float
+        Field [T].
+    """
     return Counter(one['reference_field'] for one in results.values()
                    if 'reference_field' in one).most_common(1)[0][0]
 
 
 def recurring_effects(measured: Results) -> list[Recurring]:
-    """Effects that an archive as a whole has, from what each session `measured`; surest first."""
+    """Return the effects that an archive as a whole has, the most certain first.
+
+    Parameters
+    ----------
+    measured : Results
+        Results of `measure` by session.
+
+    Returns
+    -------
+    list of Recurring
+        The effects.
+    """
     names = sorted({name for one in measured.values() for name in one.get('effects', {})})
     found = [both for name in names if (both := _recurring(name, measured))]
     return [one for _, one in sorted(found, key=lambda both: -both[0])]
 
 
 def _recurring(effect: str, measured: Results) -> tuple[float, Recurring] | None:
-    """With its gain over all sessions; None where it is worth nothing."""
+    """Return an effect and its gain over all sessions; None if the gain is too small."""
     told = {name: one['effects'].get(effect) for name, one in measured.items()
             if 'effects' in one}
     parameters = EFFECTS[effect].parameters()
@@ -188,7 +271,7 @@ def _recurring(effect: str, measured: Results) -> tuple[float, Recurring] | None
 
 def _in_units(parameter: Parameter, x: np.ndarray, std: np.ndarray,
               ) -> tuple[np.ndarray, np.ndarray]:
-    """Fit coordinates (K,) as people write them; of a reciprocal the reciprocal."""
+    """Return fit coordinates (K,) in units for people; of a reciprocal the reciprocal."""
     unit = float(parameter.display_units(1.0))
     if parameter.inverse:
         return x / (parameter.scale * unit), std / (parameter.scale * unit)
@@ -197,10 +280,10 @@ def _in_units(parameter: Parameter, x: np.ndarray, std: np.ndarray,
 
 def _two_groups(x: np.ndarray, std: np.ndarray, ratio: np.ndarray, angle: np.ndarray,
                 ) -> tuple[np.ndarray, float]:
-    """The probability (N,) that each session has the effect, and the gain over none having it.
+    """Return the probability (N,) that each session has the effect, and the gain over no effect.
 
-    From estimates `x` (N, P) with `std` (N, P), likelihood `ratio` (N,); of an `angle` (P,) nobody
-    knows anything before.
+    It uses estimates `x` (N, P) with `std` (N, P) and the likelihood `ratio` (N,). An `angle` (P,)
+    has a uniform prior.
     """
     count = len(x)
     # An angle is known within its error, of a turn.
@@ -224,9 +307,10 @@ def _two_groups(x: np.ndarray, std: np.ndarray, ratio: np.ndarray, angle: np.nda
 
 
 def _fitting(y: np.ndarray, s: np.ndarray, has: np.ndarray) -> np.ndarray:
-    """Log (N,) of how well estimates fit those that have the effect, over how well themselves.
+    """Return the log (N,) of how well estimates agree with those of sessions with the effect.
 
-    `y` and `s` (N, P); `has` (N,), at least one.
+    It is relative to their agreement with themselves. `y` and `s` (N, P); `has` (N,), at least
+    one.
     """
     result = np.zeros(len(y))
     for values, stds in zip(y.T, s.T, strict=True):

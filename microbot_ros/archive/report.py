@@ -1,4 +1,4 @@
-"""`archive.html`: what an archive says as a whole, for people. One file, pictures inside."""
+"""`archive.html`: conclusions on an archive for people, in one file with its pictures."""
 
 from __future__ import annotations
 
@@ -26,19 +26,45 @@ _TEMPLATE = Path(__file__).with_name('report.html')
 
 # Okabe and Ito's colours; rigs are told by markers, too.
 _COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9', '#000000')
+"""Palette of Okabe and Ito (2008); rigs are distinguished by markers, too."""
 _MARKERS = 'osD^vP*X'
 
 
 def write_report(archive: Archive, found: Conclusions) -> Path:
-    """Write the report on what was `found` into an `archive`; its path."""
+    """Write the report of an archive.
+
+    Parameters
+    ----------
+    archive : Archive
+        The archive.
+    found : Conclusions
+        Conclusions on the archive.
+
+    Returns
+    -------
+    Path
+        Path of the report.
+    """
     write_text(archive.folder / REPORT, page(archive, found))
     return archive.folder / REPORT
 
 
 def page(archive: Archive, found: Conclusions) -> str:
-    """The report on what was `found` in an `archive` as HTML that needs nothing else.
+    """Return the report of an archive as self-contained HTML.
 
     The same results give the same page.
+
+    Parameters
+    ----------
+    archive : Archive
+        The archive.
+    found : Conclusions
+        Conclusions on the archive.
+
+    Returns
+    -------
+    str
+        HTML.
     """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -64,12 +90,12 @@ def page(archive: Archive, found: Conclusions) -> str:
 
 
 def _several(one: Quantity, label: str) -> bool:
-    """Whether a table of the groups tells more than the figure of the sessions does."""
+    """Return whether a table of the groups shows more than the figure of the sessions."""
     return 1 < len(one.groups[label]) <= min(40, len(one.value) - 1)
 
 
 def _mean(found: Spread | None) -> str:
-    """A mean with its 95 % interval."""
+    """Return a mean with its 95 % interval."""
     if found is None:
         return '–'
     half = (found.mean_high - found.mean_low) / 2
@@ -78,16 +104,26 @@ def _mean(found: Spread | None) -> str:
 
 
 def _between(found: Spread | None) -> str:
-    """A standard deviation between sessions, with its 95 % interval."""
+    """Return a standard deviation between sessions, with its 95 % interval."""
     if found is None or found.count < 2:
         return '–'
     return f'{number(found.between)} ({number(found.between_low)} to {number(found.between_high)})'
 
 
 def draw_quantities(known: Sequence[Quantity]) -> Figure | None:
-    """Every quantity `known` by day, or by session where no day is known; None for none.
+    """Draw every quantity by day, or by session if no day is known.
 
     Rigs have colours, batches markers.
+
+    Parameters
+    ----------
+    known : sequence of Quantity
+        Quantities.
+
+    Returns
+    -------
+    Figure or None
+        None for no quantity.
     """
     if not known:
         return None
@@ -102,7 +138,18 @@ def draw_quantities(known: Sequence[Quantity]) -> Figure | None:
 
 
 def draw_parameters(known: Sequence[Quantity]) -> Figure:
-    """The parameters `known` of one effect in the sessions that have it, with mean and spread."""
+    """Draw the parameters of one effect in the sessions that have it, with mean and spread.
+
+    Parameters
+    ----------
+    known : sequence of Quantity
+        Quantities.
+
+    Returns
+    -------
+    Figure
+        The figure.
+    """
     figure = Figure(figsize=(11, 2.4 * len(known) + 0.5), layout='constrained')
     for axis, one in zip(figure.subplots(len(known), 1, squeeze=False).ravel(), known,
                          strict=True):
@@ -131,7 +178,7 @@ def _draw(axis: Axes, one: Quantity) -> None:
 
 
 def _styles(one: Quantity) -> list[tuple[str, list[int], dict[str, Any]]]:
-    """(name, sessions, colour and marker) of each rig and batch, in the order of their names."""
+    """Return name, sessions, colour and marker of each rig and batch, in the order of names."""
     count = len(one.value)
     rigs, batches = (_group_of(one.groups[label], count) for label in ('rig', 'batch'))
     result = []
@@ -144,7 +191,7 @@ def _styles(one: Quantity) -> list[tuple[str, list[int], dict[str, Any]]]:
 
 
 def _group_of(groups: dict[str, list[int]], count: int) -> list[str]:
-    """The group of each of `count` sessions; '' for none."""
+    """Return the group of each of `count` sessions; '' for none."""
     names = [''] * count
     for name, rows in groups.items():
         for k in rows:

@@ -1,8 +1,8 @@
-"""The folder of an archive: what is known of every recording, and every result.
+"""Folder of an archive: all recordings and all results.
 
-`.microbot/` holds a result per job, under the name of the job, and `recordings.json`: where each
-recording lies, what its content is, which jobs are its own. All is written whole or not at all, so
-that who is stopped, at whatever moment, goes on where he was.
+`.microbot/` holds one result per job, named after the job, and `recordings.json`: the place of
+each recording, its content and its jobs. All files are written whole or not at all, so that an
+interrupted run continues where it was.
 """
 
 from __future__ import annotations
@@ -33,10 +33,30 @@ _COMPANIONS = ('commands.csv', 'session.yaml')
 
 @dataclass
 class Entry:
-    """What an archive knows of the recording of that `name` and `kind`, found below `top`.
+    """A recording of an archive.
 
-    It is made of `files`, and `content` is their digest; `jobs` {task: key of its latest job};
-    `rig`, `batch`, `day` (ISO) and `particle_kind` as its labels say.
+    Attributes
+    ----------
+    name : str
+        Its name.
+    kind : Kind
+        Its kind.
+    top : str
+        Requested folder in which it was found.
+    content : str
+        Digest of its content.
+    files : list of str
+        Its files.
+    rig : str or None
+        Name of the rig; None for unknown.
+    batch : str or None
+        Name of the batch; None for unknown.
+    day : str or None
+        Day (ISO 8601); None for unknown.
+    jobs : dict of str to str
+        Key of its latest job, by task.
+    particle_kind : str or None
+        Kind of the particles; None for unknown.
     """
 
     name: str
@@ -52,10 +72,20 @@ class Entry:
 
 
 class Archive:
-    """An archive in a `folder`, which is made when something is written.
+    """An archive in a folder, which is made when something is written.
 
-    `entries` by the path of the recording; `refused`, by name, could not be read; `cards` of
-    files.
+    `entries` are its recordings by path, `refused` those that could not be read by name, and
+    `cards` the types and digests of files.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of the archive.
+
+    Raises
+    ------
+    InputError
+        If the index of the archive is damaged.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -77,13 +107,19 @@ class Archive:
             self.refused = {name: Refused(**one) for name, one in kept['refused'].items()}
             self.cards = FileCards(kept['files'])
         except (OSError, ValueError, TypeError, KeyError):
-            raise InputError(self._index, 'expected the index of an archive; without it the '
-                                          'archive is made anew from its results') from None
+            raise InputError(self._index, 'expected the index of an archive; '
+                                          'without it the archive is rebuilt from '
+                                          'its results') from None
 
     def save(self, findings: dict[str, Any] | None = None, complete: bool = False) -> None:
-        """Write what is known, and the `findings` where they are new, each in one step.
+        """Write the index and, if new, the findings, each in one step.
 
-        Only those of a run that was `complete` are good for the next one.
+        Parameters
+        ----------
+        findings : dict of str to object or None
+            Findings of this run; None for no new ones.
+        complete : bool
+            Whether the run was complete; otherwise the next run does not use its findings.
         """
         kept = {**self._known(), 'files': self.cards.known}
         write_text(self._index, json.dumps(kept, ensure_ascii=False) + '\n')
@@ -93,7 +129,13 @@ class Archive:
                        json.dumps(content, ensure_ascii=False) + '\n')
 
     def findings(self) -> dict[str, Any] | None:
-        """Those of the last run, where it was complete and nothing has changed since."""
+        """Return the findings of the last run, if it was complete and nothing has changed since.
+
+        Returns
+        -------
+        dict of str to object or None
+            The findings, or None.
+        """
         try:
             kept = json.loads((self.folder / MARK / _FINDINGS).read_text(encoding='utf-8'))
         except (OSError, ValueError):
@@ -107,12 +149,23 @@ class Archive:
                 'refused': {path: vars(one) for path, one in self.refused.items()}}
 
     def _state(self) -> str:
-        """A digest of all that the findings follow from."""
+        """Return a digest of all data that determine the findings."""
         text = json.dumps(self._known(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def result(self, key: str) -> dict[str, Any] | None:
-        """The result of the job of that `key`; None where there is none."""
+        """Return the result of a job.
+
+        Parameters
+        ----------
+        key : str
+            Key of the job.
+
+        Returns
+        -------
+        dict of str to object or None
+            The result; None if there is none.
+        """
         try:
             content = result_file(self.folder, key).read_text(encoding='utf-8')
         except FileNotFoundError:
@@ -121,9 +174,19 @@ class Archive:
         return found
 
     def results(self, task: str) -> dict[str, dict[str, Any]]:
-        """{path of a recording: result} of a `task`, one for each content.
+        """Return the results of a task, one for each content.
 
-        Of recordings that are copies of one another the first by name counts.
+        Of several copies the first by name counts.
+
+        Parameters
+        ----------
+        task : str
+            Name of the task.
+
+        Returns
+        -------
+        dict[str, dict of str to object]
+            Result by path of the recording.
         """
         found: dict[str, dict[str, Any]] = {}
         seen: set[str] = set()
@@ -137,7 +200,22 @@ class Archive:
         return found
 
     def note(self, found: Found, content: str, labels: Labels) -> Entry:
-        """The entry of what was `found`, with this `content` and `labels`."""
+        """Register a recording.
+
+        Parameters
+        ----------
+        found : Found
+            The recording.
+        content : str
+            Digest of its content.
+        labels : Labels
+            Its labels.
+
+        Returns
+        -------
+        Entry
+            Its entry.
+        """
         known = self.entries.get(str(found.path))
         day = None if labels.day is None else labels.day.isoformat()
         entry = Entry(found.name, found.kind, str(found.top), content, [*map(str, found.files)],
@@ -147,7 +225,15 @@ class Archive:
         return entry
 
     def forget(self, tops: Sequence[Path], there: set[str]) -> None:
-        """Leave out what was found below one of `tops` once and is not `there` any more."""
+        """Remove recordings that no longer exist.
+
+        Parameters
+        ----------
+        tops : sequence of Path
+            Folders that were searched.
+        there : set of str
+            Paths of the recordings in them.
+        """
         gone = {str(top) for top in tops}
         self.entries = {path: one for path, one in self.entries.items()
                         if one.top not in gone or path in there}
@@ -156,7 +242,15 @@ class Archive:
                             if os.path.exists(path)}
 
     def publish(self, recording: Path, session: str) -> None:
-        """Lay into a `session` what lies beside the `recording` that it is of, and the labels."""
+        """Copy files beside a recording into its session, and write its labels there.
+
+        Parameters
+        ----------
+        recording : Path
+            Path of the recording.
+        session : str
+            Name of the session.
+        """
         target = self.folder / SESSIONS / session
         beside = recording if recording.is_dir() else recording.parent
         for name in _COMPANIONS:
@@ -172,9 +266,18 @@ class Archive:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep all others from writing here meanwhile; InputError where another run does.
+        """Exclude other writers meanwhile.
 
-        Of a run that found its input wrong before it did anything here nothing stays.
+        A run whose input is refused before it did anything leaves no files.
+
+        Yields
+        ------
+        None
+
+        Raises
+        ------
+        InputError
+            If another run writes.
         """
         lock = self.folder / MARK / _LOCK
         made = [one for one in (lock.parent, *lock.parent.parents) if not one.exists()]

@@ -1,4 +1,4 @@
-"""`archive.parquet`: a row for every particle of every session."""
+"""`archive.parquet`: one row for every particle of every session."""
 
 from __future__ import annotations
 
@@ -15,16 +15,28 @@ if TYPE_CHECKING:
 
 QUANTITIES = ('v_um_s', 'gain_um_s_hz', 'phi_rad', 'force_pN', 'diffusion_um2_s',
               'localisation_um')
-"""Each a column, with its standard deviation and its 95 % interval in three more."""
+"""Quantities, each a column, with three more for its standard deviation and its 95 % interval."""
 
 _PARTS = {'': 'value', '_std': 'std', '_low_95': 'low_95', '_high_95': 'high_95'}
+"""Suffix of the column of each part of a value; the interval is one of 95 % by definition."""
 
 
 def rows(archive: Archive, present: Mapping[str, list[str]]) -> Iterator[dict[str, Any]]:
-    """A row for every particle of every session of an `archive`, by the name of the session.
+    """Yield one row for every particle of every session, in the order of session names.
 
-    Of what `discover` said where it was asked, else of what `fit` said. `present`: {path of a
-    recording: effects that the archive as a whole finds in it}.
+    Values are those of `discover` if it was run, else those of `fit`.
+
+    Parameters
+    ----------
+    archive : Archive
+        The archive.
+    present : mapping of str to list of str
+        Effects that the archive as a whole finds in a recording, by its path.
+
+    Yields
+    ------
+    dict of str to object
+        Row by column.
     """
     fitted, discovered = archive.results('fit'), archive.results('discover')
     names = Counter(entry.name for entry in archive.entries.values())
@@ -63,7 +75,7 @@ def _of_session(entry: Entry, path: str, task: str, result: dict[str, Any], told
 
 
 def _numbers(told: dict[str, Any]) -> dict[str, float | None]:
-    """Columns of the quantities that are told; what has no interval has that of ± 1.96 std."""
+    """Return the columns of quantities; one without interval has that of ± 1.96 std."""
     columns: dict[str, float | None] = {}
     for name in set(QUANTITIES) & set(told):
         one = told[name]
@@ -75,7 +87,13 @@ def _numbers(told: dict[str, Any]) -> dict[str, float | None]:
 
 
 def schema() -> pyarrow.Schema:
-    """The columns and their types."""
+    """Return the columns and their types.
+
+    Returns
+    -------
+    pyarrow.Schema
+        The schema.
+    """
     import pyarrow as pa
 
     text, number = pa.string(), pa.float64()
@@ -91,7 +109,20 @@ def schema() -> pyarrow.Schema:
 
 
 def write_table(archive: Archive, all_rows: list[dict[str, Any]]) -> Path:
-    """Write `all_rows` as the table of an `archive`, whole or not at all; its path."""
+    """Write the table of an archive, whole or not at all.
+
+    Parameters
+    ----------
+    archive : Archive
+        The archive.
+    all_rows : list of dict of str to object
+        Its rows.
+
+    Returns
+    -------
+    Path
+        Path of the table.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -103,7 +134,15 @@ def write_table(archive: Archive, all_rows: list[dict[str, Any]]) -> Path:
 
 
 def write_rows(all_rows: list[dict[str, Any]], path: Path) -> None:
-    """Write `all_rows`, which have the same columns, as Parquet at a `path`."""
+    """Write rows as Parquet.
+
+    Parameters
+    ----------
+    all_rows : list of dict of str to object
+        Rows with the same columns.
+    path : Path
+        Path of the file.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -111,9 +150,22 @@ def write_rows(all_rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def read_table(archive: str | Path) -> pyarrow.Table:
-    """The table of the `archive` in a folder; `.to_pandas()` makes a data frame of it.
+    """Return the table of an archive; `.to_pandas()` converts it to a data frame.
 
-    InputError where there is none.
+    Parameters
+    ----------
+    archive : str or Path
+        Folder of the archive.
+
+    Returns
+    -------
+    pyarrow.Table
+        The table.
+
+    Raises
+    ------
+    InputError
+        If there is none.
     """
     import pyarrow.parquet as pq
 

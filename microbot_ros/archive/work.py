@@ -1,7 +1,7 @@
-"""What is done to one recording, by whichever process on whichever machine: a job and its result.
+"""Work on one recording, by any process on any machine: a job and its result.
 
-A job is named by what it works on, how, and by which version; its result is a file of that name,
-there whole or not at all. Whoever has the job twice finds it done.
+A job is named by its content, its settings and its version; its result is a file of that name,
+which exists whole or not at all. A worker that receives the job twice finds it done.
 """
 
 from __future__ import annotations
@@ -33,28 +33,46 @@ READS: dict[Task, tuple[Kind, ...]] = {
     'fit': ('session', 'recording', 'table'), 'discover': ('session', 'recording', 'table'),
     'measure': ('session', 'recording', 'table'),
 }
-"""Which kinds of recordings a task takes."""
+"""Kinds of recordings that a task processes."""
 
 SESSIONS = 'sessions'
-"""Folder of an archive in which the sessions are that were made of films and tables."""
+"""Folder of an archive with the sessions that were made of films and tables."""
 
 REPORTS = 'reports'
-"""Folder of an archive in which the report of each session that was searched is."""
+"""Folder of an archive with the report of each session that was searched."""
 
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class VersionError(RuntimeError):
-    """A worker has another version than who sent the job."""
+    """Error of a worker whose version is not that of the client."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A `task` on a recording of that `kind` at `path`, made of `files`.
+    """A task on a recording.
 
-    `content` is its digest; `settings` are the task's, as JSON has them; the result goes into
-    `archive`. `version` is that of who asks. `table` is the table of the same name beside a film;
-    its digest and the answers to what it leaves open are in the `settings`.
+    Attributes
+    ----------
+    task : Task
+        Name of the task.
+    kind : Kind
+        Kind of the recording.
+    path : Path
+        Path of the recording.
+    files : tuple of Path
+        Its files.
+    content : str
+        Digest of its content.
+    archive : Path
+        Archive that receives the result.
+    settings : dict of str to object
+        Settings of the task, as in JSON.
+    version : str
+        Version of the client.
+    table : Path or None
+        Table of the same name beside a film; its digest and the answers for its import are in the
+        settings. None for none.
     """
 
     task: Task
@@ -69,26 +87,55 @@ class Job:
 
     @property
     def key(self) -> str:
-        """The name of the work, the same for the same content, settings and version."""
+        """Name of the work, the same for the same content, settings and version."""
         named = json.dumps([self.task, self.content, self.settings, self.version], sort_keys=True)
         return f'{self.task}-{hashlib.sha256(named.encode()).hexdigest()[:40]}'
 
     @property
     def result(self) -> Path:
-        """The file of its result."""
+        """File of its result."""
         return result_file(self.archive, self.key)
 
 
 def result_file(archive: Path, key: str) -> Path:
-    """Where an `archive` keeps the result of the job of that `key`."""
+    """Return the file of a result.
+
+    Parameters
+    ----------
+    archive : Path
+        Folder of the archive.
+    key : str
+        Key of the job.
+
+    Returns
+    -------
+    Path
+        Path of the file.
+    """
     return archive / MARK / key.split('-')[-1][:2] / f'{key}.json'
 
 
 def do(job: Job) -> str:
-    """Do a `job`, unless it is done; its key.
+    """Run a job, unless it is done.
 
-    What a recording is wrong with is a result, too, and that a table holds averages only. Raises
-    OSError where the disk is full, VersionError, and whatever a fault of this program raises.
+    A refused recording is a result too, and so is a table that holds averages only.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+
+    Returns
+    -------
+    str
+        Key of the job.
+
+    Raises
+    ------
+    OSError
+        If the disk is full.
+    VersionError
+        If the client has another version.
     """
     if job.version != __version__:
         raise VersionError(f'microbot_ros {__version__}; the client has {job.version}')
@@ -108,14 +155,14 @@ def do(job: Job) -> str:
 
 
 def _reason(error: InputError) -> str:
-    """Without the folders: the same recording may lie elsewhere tomorrow."""
+    """Return the text of an error without folders, as the recording may move."""
     name = Path(error.source).name
     place = f'{name}:{error.line}' if error.line else name
     return f'{place}: {error.expected}' if place else error.expected
 
 
 def _read(job: Job) -> Session:
-    """The session of a recording or of a table."""
+    """Return the session of a recording or of a table."""
     from microbot_ros.session.mcap.from_recording import session_of
     from microbot_ros.session.mcap.recording import open_recording
     from microbot_ros.session.tables.folder import read_folder
@@ -131,7 +178,7 @@ def _read(job: Job) -> Session:
 
 
 def _imported(files: Sequence[Path], given: dict[str, Any]) -> tuple[Session, list[str]]:
-    """Return the session of a table, made of `files`, by the `given` answers, and assumptions."""
+    """Return the session of a table in `files` by the `given` answers, and the assumptions."""
     from microbot_ros.session.spreadsheets.assemble import import_session
     from microbot_ros.session.spreadsheets.sheets import Answers
 
@@ -146,7 +193,7 @@ def _imported(files: Sequence[Path], given: dict[str, Any]) -> tuple[Session, li
 
 
 def _facts(session: Session) -> dict[str, Any]:
-    """What a session is, beside what is found in it."""
+    """Return the properties of a session."""
     t = session.tracks.t
     return {
         'propulsion': session.conditions.propulsion, 'duration_s': float(t[-1] - t[0]),
@@ -178,9 +225,9 @@ def _discover(job: Job) -> dict[str, Any]:
 
 
 def _write_report(job: Job, session: Session, found: Discovery) -> str | None:
-    """Write the report on what was `found` in a `session`; its place in the archive.
+    """Write the report of a session and return its place in the archive.
 
-    None where the report fails: the result of the search counts without it.
+    None if the report fails: the result of the search counts without it.
     """
     from microbot_ros.discovery.report.page import page
 
@@ -212,7 +259,18 @@ def _import(job: Job) -> dict[str, Any]:
 
 
 def made_session(job: Job) -> Path:
-    """The folder of the session that a `job` makes, the same whatever it was asked to assume."""
+    """Return the folder of the session that a job makes, whatever its assumptions.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+
+    Returns
+    -------
+    Path
+        Path of the folder.
+    """
     return job.archive / SESSIONS / f'{job.path.stem}-{job.content[:8]}'
 
 
@@ -243,7 +301,7 @@ def _track(job: Job) -> dict[str, Any]:
 
 
 def _beside_table(told: dict[str, Any], table: Session, name: str) -> None:
-    """Put into what is `told` of a film how it agrees with its `table`, as JSON and sentences."""
+    """Add the agreement of a film with its table to its result, as JSON and sentences."""
     agreed = told.pop('beside_table', None)
     if agreed is None:
         said = [f'not compared with {name}: no pixel size is known']
@@ -256,9 +314,9 @@ def _beside_table(told: dict[str, Any], table: Session, name: str) -> None:
 
 
 def _write_commands(folder: Path, job: Job, table: Session, told: dict[str, Any]) -> None:
-    """Write what the table of a film states, and how both agree, into the session in `folder`.
+    """Write the statements of a film's table, and their agreement, into a session.
 
-    Not where a `commands.csv` or `session.yaml` lies beside the film: people wrote these.
+    A `commands.csv` or `session.yaml` beside the film is kept, as people wrote it.
     """
     from microbot_ros.session import write_session
 

@@ -56,7 +56,7 @@ def answer_options(command: Callable[..., Any]) -> Callable[..., Any]:
               help='Folder of the session to write.')
 @answer_options
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Also write what was found and assumed as JSON.')
+              help='Write findings and assumptions as JSON to this file.')
 def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> None:
     """Turn SOURCE into a session: a spreadsheet, a delimited text file, or a folder of them.
 

@@ -1,8 +1,8 @@
-"""The address of the page, which holds the token: in a file of its user, and on no log.
+"""Address of the page, which contains the token: in a file of its user, and in no log.
 
-What a node prints may be kept by a journal. So the node writes the address to a file that only
-its user can read and prints where that is; a command that this user started on a terminal shows
-the address there.
+A journal may keep the output of a node. Therefore the node writes the address to a file that only
+its user can read and prints the path; a command that this user started on a terminal shows the
+address there.
 """
 
 from __future__ import annotations
@@ -16,14 +16,31 @@ from typing import TextIO
 from microbot_ros.common.errors import InputError
 
 WORDS = 'the address to open is in '
-"""How a line ends that names the file, before its path."""
+"""End of a line that names the file, before its path."""
 
 
 def write(address: str, port: int) -> Path:
-    """Write an `address` into the file of a server at that `port`; return the path.
+    """Write an address into the file of a server.
 
     The file is `microbot/cockpit-PORT` in `$XDG_RUNTIME_DIR`, or in a folder of this user in the
-    folder for temporary files. InputError where that folder is another user's.
+    folder for temporary files.
+
+    Parameters
+    ----------
+    address : str
+        Address with its token.
+    port : int
+        Port of the server.
+
+    Returns
+    -------
+    Path
+        Path of the file.
+
+    Raises
+    ------
+    InputError
+        If that folder belongs to another user.
     """
     path = _folder() / f'cockpit-{port}'
     with suppress(FileNotFoundError):
@@ -34,8 +51,20 @@ def write(address: str, port: int) -> Path:
 
 
 def shown(line: str, stream: TextIO) -> str:
-    """Return a `line` of a cockpit as it is to be printed on a `stream`: the address itself in
-    place of its file on a terminal, the line as it is elsewhere."""
+    """Return a line of a cockpit as it is printed on a stream.
+
+    Parameters
+    ----------
+    line : str
+        Line that names the file.
+    stream : TextIO
+        Stream to print on.
+
+    Returns
+    -------
+    str
+        With the address in place of its file on a terminal, unchanged elsewhere.
+    """
     before, words, path = line.partition(WORDS)
     if words and stream.isatty():
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""A page on the other end of a socket: it is sent what is newest, never a queue of old things."""
+"""A page at the other end of a socket, which is sent only the newest of everything."""
 
 from __future__ import annotations
 
@@ -15,37 +15,48 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from microbot_ros.cockpit.steering import Steering
 
 _OWED = 2
-"""Pictures that a page may have without having said that it has seen them."""
+"""Largest number of pictures that a page has not acknowledged. Choice: one on its way and one
+being drawn; more would delay the picture of a slow page."""
 _SIGN_OF_LIFE_S = 1.0
-"""How often a page that owes is told the state all the same."""
+"""Interval [s] at which a page that does not acknowledge still receives the state. Choice: half
+loads a link that is full already, twice delays what a person sees."""
 _ANSWERS = 100
-"""A page that reads none of so many answers is gone."""
+"""Number of unread answers after which a page counts as lost. Choice: far more than a page has
+requests in work."""
 _SLOW_S = 5.0
-"""So is one that does not take a message within this: the buffers between hold some seconds."""
+"""Time [s] after which a page that does not accept a message counts as lost. Choice: the buffers
+between hold some seconds."""
 
 
 class Page:
-    """One page on its `socket`; `number` is its name.
+    """One page.
 
-    A picture, and what is seen in it, waits in one place, in which the next replaces it, until
-    the page has said `seen` to all but one of those it was sent.
+    A picture and the particles in it wait in one place, in which the next replaces them, until the
+    page has acknowledged all but one of the pictures that it was sent.
+
+    Parameters
+    ----------
+    socket : WebSocket
+        Its socket.
+    number : int
+        Its number.
     """
 
     def __init__(self, socket: WebSocket, number: int) -> None:
         self.number = number
         self.in_work = 0
-        """Verbs that are being performed."""
+        """Number of verbs that are being performed."""
         self.stops = 0
-        """STOPs whose answer it waits for."""
+        """Number of STOPs whose answer it waits for."""
         self.heard_s = time.monotonic()
-        """When it last sent something."""
+        """Time [s] of its last message."""
         self.steering = Steering()
         self._socket = socket
         self._owed: deque[int] = deque()
         self._picture: tuple[int, bytes] | None = None
         self._particles: str | None = None
         self.events = 0
-        """The number of the last event that it was sent."""
+        """Number of the last event that it was sent."""
         self._state: str | None = None
         self._known: dict[str, str] = {}
         self._told_s = 0.0
@@ -54,19 +65,40 @@ class Page:
         self._ended = False
 
     def picture(self, stamp: int, jpeg: bytes) -> None:
-        """Have a picture of a `stamp` [ns], a `jpeg`, sent in place of one that waits."""
+        """Send a picture in place of one that waits.
+
+        Parameters
+        ----------
+        stamp : int
+            Stamp of the picture [ns].
+        jpeg : bytes
+            The picture.
+        """
         self._picture = stamp, jpeg
         self._particles = None
         self._news.set()
 
     def particles(self, text: str) -> None:
-        """Have particles, a message as `text`, sent in place of some that wait."""
+        """Send particles in place of some that wait.
+
+        Parameters
+        ----------
+        text : str
+            The message.
+        """
         self._particles = text
         self._news.set()
 
     def state(self, parts: Mapping[str, str], now_s: float) -> None:
-        """Have the `parts` of the state, each as JSON, sent as far as they are new to the page at
-        `now_s` [s]."""
+        """Send the parts of the state that are new to the page.
+
+        Parameters
+        ----------
+        parts : mapping of str to str
+            Parts by name, each as JSON.
+        now_s : float
+            Present time [s] of the monotonic clock.
+        """
         if len(self._owed) >= _OWED and now_s - self._told_s < _SIGN_OF_LIFE_S:
             return
         if self._state is not None:
@@ -79,24 +111,36 @@ class Page:
         self._news.set()
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Have a `message` sent that must not be lost: an answer, a greeting."""
+        """Send a message that must not be lost, such as an answer or a greeting.
+
+        Parameters
+        ----------
+        message : dict of str to object
+            The message.
+        """
         self._answers.append(json.dumps(message, ensure_ascii=False, allow_nan=False))
         self._news.set()
 
     def seen(self, stamp: int) -> None:
-        """The page has the picture of a `stamp` [ns], and those before it, behind it."""
+        """Register that the page has drawn or skipped a picture and all before it.
+
+        Parameters
+        ----------
+        stamp : int
+            Stamp of the picture [ns].
+        """
         if stamp in self._owed:
             while self._owed.popleft() != stamp:
                 pass
             self._news.set()
 
     def end(self) -> None:
-        """Let it go: another takes its place."""
+        """End the connection: another page takes its place."""
         self._ended = True
         self._news.set()
 
     async def send(self) -> None:
-        """Send what is newest, as soon as the page can take it, until it is gone."""
+        """Send the newest messages as soon as the page can accept them, until it is lost."""
         try:
             while len(self._answers) <= _ANSWERS and not self._ended:
                 await self._news.wait()

@@ -1,4 +1,4 @@
-"""Connections of the server before they are pages: few, short, and none that locks others out."""
+"""Connections of the server before they are pages: few, short, and none excludes others."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 MOST = 64
-"""HTTP connections at once. A browser opens six for a page; 16 pages that load at once need 96 for
-some 100 ms, and those over the limit are opened again by the browser."""
+"""Largest number of HTTP connections. Choice: a browser opens six for a page; 16 pages that load
+at once need 96 for some 100 ms, and those over the limit are opened again by the browser."""
 LONGEST_S = 30.0
-"""Longest life of an HTTP connection that is not in the middle of an answer: a page loads in less
-than 1 s, a recording in minutes."""
+"""Longest life [s] of an HTTP connection without an answer in progress. Choice: a page loads in
+less than 1 s, a recording in minutes."""
 
 _order = itertools.count()
 
@@ -21,13 +21,19 @@ _order = itertools.count()
 class BriefConnection(H11Protocol):
     """HTTP connection that is closed after `LONGEST_S`, whatever its client sends.
 
-    Where there are more than `MOST`, the oldest is closed in favour of the newest: clients that
-    hold connections without asking for anything cannot keep a page, and its STOP, out. A
-    connection that became a socket of a page is none of these.
+    If there are more than `MOST`, the oldest is closed in favour of the newest: clients that hold
+    connections without requests cannot exclude a page, and its STOP. A connection that became a
+    socket of a page does not count.
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take in a new connection by its `transport`."""
+        """Register a new connection.
+
+        Parameters
+        ----------
+        transport : asyncio.Transport
+            Its transport.
+        """
         super().connection_made(transport)
         self.number = next(_order)
         self._end = self.loop.call_later(LONGEST_S, self._expire)
@@ -37,12 +43,23 @@ class BriefConnection(H11Protocol):
             min(brief, key=lambda one: one.number)._abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Let go of a connection that has ended, by an error `exc` or None."""
+        """Release a connection that has ended.
+
+        Parameters
+        ----------
+        exc : Exception or None
+            Error that ended it, or None.
+        """
         self._end.cancel()
         super().connection_lost(exc)
 
     def handle_websocket_upgrade(self, event: Any) -> None:
-        """Hand the connection over, by its request `event`, to a socket with limits of its own.
+        """Hand the connection over to a socket with its own limits.
+
+        Parameters
+        ----------
+        event : object
+            Request of the connection.
         """
         self._end.cancel()
         super().handle_websocket_upgrade(event)

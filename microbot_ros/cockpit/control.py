@@ -1,13 +1,13 @@
-"""Who has control, and whether the rig was armed on condition that somebody attends."""
+"""Which page has control, and whether the rig was armed on condition of an operator."""
 
 from __future__ import annotations
 
 
 class Control:
-    """One page of those that are there has control; a page is a number.
+    """Control by one of the connected pages; a page is a number.
 
-    `attended`: the rig was armed on condition that the page in control is there. The coil driver
-    judges that by heartbeats, which are passed on while it is so.
+    `attended` means that the rig was armed on condition that the page in control is present. The
+    coil driver checks that by heartbeats, which are passed on meanwhile.
     """
 
     def __init__(self) -> None:
@@ -18,35 +18,76 @@ class Control:
 
     @property
     def pages(self) -> int:
-        """How many there are."""
+        """Number of pages."""
         return len(self._pages)
 
     def join(self, page: int) -> None:
-        """Count a `page` that has come: it has control if no other has."""
+        """Register a page, which gets control if no other page has it.
+
+        Parameters
+        ----------
+        page : int
+            Number of the page.
+        """
         self._pages.add(page)
         if self.holder is None:
             self.holder = page
 
     def leave(self, page: int) -> None:
-        """Forget a `page`. Its control goes to nobody: another takes it."""
+        """Remove a page. No page gets its control until one takes it.
+
+        Parameters
+        ----------
+        page : int
+            Number of the page.
+        """
         self._pages.discard(page)
         if self.holder == page:
             self.holder = None
 
     def take(self, page: int) -> None:
-        """Give control to this `page`."""
+        """Give control to a page.
+
+        Parameters
+        ----------
+        page : int
+            Number of the page.
+        """
         self.holder = page
 
     def attends(self, page: int) -> bool:
-        """Whether a heartbeat of a `page` is one for the driver."""
+        """Return whether a heartbeat of a page is passed on to the driver.
+
+        Parameters
+        ----------
+        page : int
+            Number of the page.
+
+        Returns
+        -------
+        bool
+            Whether it is.
+        """
         return self.attended and page == self.holder
 
     def arm(self, attended: bool) -> None:
-        """Note that the rig is about to be armed, `attended` or not."""
+        """Register that the rig is about to be armed.
+
+        Parameters
+        ----------
+        attended : bool
+            Whether on condition that the page in control is present.
+        """
         self.attended, self._seen_armed = attended, False
 
     def see(self, armed: bool) -> None:
-        """Take in whether the rig is `armed`: one that is so no more is not attended either."""
+        """Register whether the rig is armed; a rig that was disarmed is not attended either.
+
+        Parameters
+        ----------
+        armed : bool
+            Whether it is.
+        """
         if self._seen_armed and not armed:
             self.attended = False
         self._seen_armed = armed

@@ -1,4 +1,4 @@
-"""`microbot discover --drive` as a child: started, watched and ended with the cockpit."""
+"""`microbot discover --drive` as a child process, started and ended by the cockpit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from microbot_ros.common.ending import PARENT
 from microbot_ros.common.errors import clipped, one_line
 
 _PATIENCE_S = 10.0
-"""So long it may take to write what it has learned when it is told to end."""
+"""Time [s] in which a discovery must write its results when it is ended. Choice: writing takes
+less on a slow disk."""
 
 
 _ODDS = re.compile(r'([\w ]+?) ([\d.]+)%')
@@ -27,17 +28,29 @@ _LIKELIEST = 'likeliest: '
 
 
 def default_folder() -> Path:
-    """Where results go that nobody named a place for: in the data folder of this user."""
+    """Return the folder of results that have no other place, in the data folder of this user.
+
+    Returns
+    -------
+    Path
+        The folder.
+    """
     home = os.environ.get('XDG_DATA_HOME') or Path.home() / '.local' / 'share'
     return Path(home) / 'microbot_ros' / 'discoveries'
 
 
 class Discovery:
-    """Drives the rig of a `namespace` to find what the model is missing; each run has a new
-    folder in `folder`.
+    """Discovery that drives a rig to find what the model lacks; each run has a new folder.
 
-    The child is the head of a process group of its own, and ends with this process, however that
-    ends.
+    The child process is the head of its own process group, and ends with this process, however
+    this one ends.
+
+    Parameters
+    ----------
+    namespace : str
+        Namespace of the rig.
+    folder : Path
+        Folder of the results.
     """
 
     def __init__(self, namespace: str, folder: Path) -> None:
@@ -50,8 +63,8 @@ class Discovery:
         self._odds: dict[str, float] = {}
         self._until_s = self._seconds = 0.0
         self._turn = asyncio.Lock()
-        """Held from the check whether it runs until its process is there, or has been told to end:
-        two requests at once start one process."""
+        """Held from the check whether a discovery runs until its process exists, or was told to
+        end: two simultaneous requests start one process."""
         self._over = False
 
     @property
@@ -60,8 +73,18 @@ class Discovery:
         return self._process is not None
 
     def state(self, elsewhere: dict[str, Any]) -> dict[str, Any] | None:
-        """What the page shows of it; before the first run of the result of a discovery
-        `elsewhere`; None where there is nothing to show."""
+        """Return the state for the page.
+
+        Parameters
+        ----------
+        elsewhere : dict of str to object
+            Result of a discovery started elsewhere, shown before the first run.
+
+        Returns
+        -------
+        dict of str to object or None
+            None if there is nothing to show.
+        """
         if not self._told:
             return {'running': False, 'sentence': 'another discovery beside the rig',
                     **summary(elsewhere)} if elsewhere else None
@@ -74,14 +97,42 @@ class Discovery:
                 'folder': str(self._out), 'report': report}
 
     def report(self, name: str) -> Path | None:
-        """Return the report of the discovery of that `name`, None where there is none."""
+        """Return the report of a discovery.
+
+        Parameters
+        ----------
+        name : str
+            Name of the discovery.
+
+        Returns
+        -------
+        Path or None
+            Its path; None if there is none.
+        """
         known = Path(name).name == name != '..'
         path = self._folder / name / 'report.html'
         return path if known and path.is_file() else None
 
     async def start(self, minutes: float, rig: str | None) -> Answer:
-        """Drive a `rig` in that state for so many `minutes` at most; RefusedError where it does
-        already, and where the rig is not armed."""
+        """Drive a rig.
+
+        Parameters
+        ----------
+        minutes : float
+            Longest duration [min].
+        rig : str or None
+            State of the rig.
+
+        Returns
+        -------
+        Answer
+            Answer for the page.
+
+        Raises
+        ------
+        RefusedError
+            If a discovery runs, or if the rig is not armed.
+        """
         async with self._turn:
             if self.running:
                 raise RefusedError('discovery is already driving')
@@ -104,7 +155,18 @@ class Discovery:
         return f'driving for at most {minutes:g} min; results in {self._out}'
 
     async def stop(self) -> Answer:
-        """Have it end and write what it knows; RefusedError where it does not run."""
+        """End the discovery, which writes its results.
+
+        Returns
+        -------
+        Answer
+            Answer for the page.
+
+        Raises
+        ------
+        RefusedError
+            If none runs.
+        """
         async with self._turn:
             if self._process is None:
                 raise RefusedError('discovery is not driving')
@@ -112,7 +174,7 @@ class Discovery:
         return 'stopped on request'
 
     async def end(self) -> None:
-        """Leave nothing behind when the server ends."""
+        """End the child process when the server ends."""
         async with self._turn:
             self._over = True
         if self._reader is None or self._process is None:
@@ -128,7 +190,7 @@ class Discovery:
                 os.killpg(self._process.pid, number)
 
     async def _follow(self, process: asyncio.subprocess.Process) -> None:
-        """Keep the last line that it prints; at its end what it has found."""
+        """Keep the last line that the process prints, and at its end the result."""
         assert process.stdout is not None
         while data := await process.stdout.readline():
             if line := one_line(data.decode(errors='replace').strip()):
@@ -146,7 +208,17 @@ class Discovery:
 
 
 def summary(result: dict[str, Any]) -> dict[str, Any]:
-    """Of the content of a `result.json` (`result`) what a page shows; None for what is not there.
+    """Return the part of a result that a page shows.
+
+    Parameters
+    ----------
+    result : dict of str to object
+        Content of `result.json`.
+
+    Returns
+    -------
+    dict of str to object
+        Values by name; None for missing ones.
     """
     effects = result.get('effects') or [{}]
     gap = result.get('gap') or {}

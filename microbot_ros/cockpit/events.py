@@ -1,4 +1,4 @@
-"""What happened at the rig since the server began: who did what, and what the nodes said."""
+"""Events at the rig since the server began: requests of pages, and reports of nodes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,18 @@ _RIG = {'armed': 'note', 'disarmed': 'note', 'fault': 'error', 'unknown': 'warni
 
 
 def explained(sentence: str) -> dict[str, str]:
-    """Return `cause` and `cure` of a `sentence` of a node, where the catalogue knows it."""
+    """Return cause and cure of a sentence of a node, if the catalogue contains it.
+
+    Parameters
+    ----------
+    sentence : str
+        The sentence.
+
+    Returns
+    -------
+    dict of str to str
+        `cause` and `cure`, or empty.
+    """
     found = remedy(sentence)
     return {'cause': found.cause, 'cure': found.cure} if found else {}
 
@@ -33,19 +44,45 @@ class Events:
         self._seen: dict[str, Any] = {}
 
     def add(self, origin: str, level: str, text: str) -> None:
-        """Keep an event of an `origin`: a `text` of a `level`: ok, refused, note, warning, error.
+        """Add an event.
+
+        Parameters
+        ----------
+        origin : str
+            Its origin.
+        level : str
+            One of ok, refused, note, warning, error.
+        text : str
+            Its sentence.
         """
         help_ = explained(text) if level in ('refused', 'warning', 'error') else {}
         self.kept.append({'number': next(self._count), 'time_s': time.time(), 'origin': origin,
                           'level': level, 'text': text, **help_})
 
     def since(self, number: int) -> list[dict[str, Any]]:
-        """Return the events after the one with that `number`, oldest first."""
+        """Return the events after a number.
+
+        Parameters
+        ----------
+        number : int
+            Number of an event.
+
+        Returns
+        -------
+        list of dict of str to object
+            Events, oldest first.
+        """
         new = itertools.takewhile(lambda one: one['number'] > number, reversed(self.kept))
         return list(new)[::-1]
 
     def see(self, state: Mapping[str, Any]) -> None:
-        """Keep what is new in a `state` of the rig."""
+        """Add the events that a state of the rig shows.
+
+        Parameters
+        ----------
+        state : mapping of str to object
+            The state.
+        """
         self._see_rig(state.get('rig'), state.get('sentence') or '')
         for node in state.get('health') or []:
             self._see_node(node['name'], node['level'], node['sentence'])

@@ -1,4 +1,4 @@
-"""The recordings of a folder: a list for the page, the files to download, a film to replay."""
+"""Recordings of a folder: a list for the page, files to download, a film to replay."""
 
 from __future__ import annotations
 
@@ -15,12 +15,19 @@ from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import lack
 
 _LISTED = 100
-"""The newest recordings are listed. Choice: 100 are read in about 0.3 s."""
+"""Number of listed recordings, the newest. Choice: 100 are read in about 0.3 s."""
 _PIECE = 64 * 1024
+"""Size of a piece of a film [bytes]. Choice: that of a pipe of Linux."""
 
 
 class Recordings:
-    """The recordings that lie in a `folder`, each in a folder of its own."""
+    """Recordings in a folder, each in its own folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -28,11 +35,14 @@ class Recordings:
         self._drawing: asyncio.subprocess.Process | None = None
 
     def listed(self) -> list[dict[str, Any]]:
-        """Return the newest first: `name`, `files`, `bytes`, `began_s` [s since 1970], `seconds`,
-        `title` and `notes` of each.
+        """Return the recordings, newest first.
 
-        Of one that runs, or was cut off, `seconds` is None, the texts are empty and `began_s` is
-        when it was last written to.
+        Returns
+        -------
+        list of dict of str to object
+            `name`, `files`, `bytes`, `began_s` [s since 1970], `seconds`, `title` and `notes` of
+            each. For one that is running or was cut off, `seconds` is None, the texts are empty
+            and `began_s` is the time of its last change.
         """
         found = {path: max(file.stat().st_mtime_ns for file in files)
                  for path in self._folder.glob('*') if (files := [*path.glob('*.mcap')])}
@@ -42,17 +52,38 @@ class Recordings:
         return [*self._read.values()]
 
     def file(self, name: str, file: str) -> Path | None:
-        """Return the path of a `file` of the recording of that `name`; None where there is none.
+        """Return the path of a file of a recording.
+
+        Parameters
+        ----------
+        name : str
+            Name of the recording.
+        file : str
+            Name of the file.
+
+        Returns
+        -------
+        Path or None
+            None if there is none.
         """
         path = self._folder / name / file
         known = path.suffix == '.mcap' and path.is_file() and {name, file}.isdisjoint(('.', '..'))
         return path if known else None
 
     async def film(self, name: str) -> AsyncIterator[bytes] | None:
-        """Return the recording of that `name` as a film, an MP4, in pieces; None where there is
-        none.
+        """Return a recording as a film, an MP4.
 
-        Another process draws it, at the lowest priority, in place of the film that it draws.
+        Another process draws it, at the lowest priority, in place of the film that is being drawn.
+
+        Parameters
+        ----------
+        name : str
+            Name of the recording.
+
+        Returns
+        -------
+        async iterator of bytes, or None
+            Pieces of the file; None if there is no such recording.
         """
         if not any(name == one['name'] for one in await asyncio.to_thread(self.listed)):
             return None
@@ -70,7 +101,7 @@ class Recordings:
 
 
 async def _pieces(process: asyncio.subprocess.Process) -> AsyncIterator[bytes]:
-    """Yield what a `process` writes; end it when nobody wants it any more."""
+    """Yield the output of a process; end the process when the reader is gone."""
     assert process.stdout is not None
     try:
         while data := await process.stdout.read(_PIECE):

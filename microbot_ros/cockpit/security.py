@@ -1,4 +1,4 @@
-"""Who may speak to the server: this origin, with the token of this server."""
+"""Access to the server: from its own origin, with the token of this server."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ _POLICY = '; '.join((
     "base-uri 'none'", "form-action 'none'", "frame-ancestors 'none'"))
 REPORT_POLICY = _POLICY.replace(
     "default-src 'self'", "default-src 'none'; style-src 'unsafe-inline'")
-"""For a report that stands alone: its styles are within, its pictures data; no script runs."""
+"""Policy of a report, which is self-contained: its styles are inside, its pictures are data, and
+no script runs."""
 _HEADERS = {
     'Content-Security-Policy': _POLICY, 'X-Content-Type-Options': 'nosniff',
     'X-Frame-Options': 'DENY', 'Referrer-Policy': 'no-referrer',
@@ -31,7 +32,18 @@ _HEADERS = {
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a server at `host`, a name or an address, is out of reach of other machines."""
+    """Return whether a server is out of reach of other machines.
+
+    Parameters
+    ----------
+    host : str
+        Name or address to listen at.
+
+    Returns
+    -------
+    bool
+        Whether it is.
+    """
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -39,13 +51,28 @@ def is_loopback(host: str) -> bool:
 
 
 class Gatekeeper:
-    """Lets through to an `app` what is asked of a server at `host`, by pages of its own.
+    """Filter that passes requests to an application only if they come from its own pages.
 
-    The name in `Host` must be one of ours, lest a foreign site have its own name point here; a
-    socket must also name an `Origin`, and that is the same. The `token` is asked for, once, in
-    the address; then a cookie stands for it, whose name holds the `port`. Anything else is
-    answered with 403. With `open_to_all` there is no token: for a machine with one user, on
-    loopback alone.
+    The name in `Host` must be one of the server's, lest a foreign site let its own name point
+    here; a socket must also name an `Origin`, which must be the same. The token is required once,
+    in the address; then a cookie stands for it, whose name contains the port. Any other request is
+    answered with 403.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        The application.
+    host : str
+        Name or address to listen at.
+    port : int
+        Port to listen at.
+    open_to_all : bool
+        Whether there is no token: for a machine with one user, on loopback alone.
+
+    Raises
+    ------
+    InputError
+        If `open_to_all` and the server is not on loopback.
     """
 
     def __init__(self, app: ASGIApp, host: str, port: int, open_to_all: bool = False) -> None:
@@ -59,7 +86,7 @@ class Gatekeeper:
         self._cookie = f'microbot_cockpit_{port}'
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request (`scope`, `receive`, `send`, as ASGI has them), or have it answered."""
+        """Answer a request, or pass it on; the arguments are those of ASGI."""
         if scope['type'] == 'lifespan':
             await self._app(scope, receive, send)
             return
@@ -92,7 +119,7 @@ class Gatekeeper:
         return found is not None and _same(found.value, self._session)
 
     def _welcome(self, scope: Scope) -> ASGIApp:
-        """A page of its own for who shows the token at the door."""
+        """Return the response that sets the cookie, for a request with the token."""
         given = parse_qs(scope['query_string'].decode('latin-1')).get('token', [''])[0]
         if scope['type'] != 'http' or scope['path'] != '/' or not _same(given, self.token):
             return _FORBIDDEN
@@ -102,6 +129,7 @@ class Gatekeeper:
 
 
 _FORBIDDEN = PlainTextResponse('403: not from here, or without the token\n', 403)
+"""Answer to requests that are refused; its status is that of HTTP."""
 
 
 def _names(host: str) -> Iterable[str]:
@@ -126,7 +154,7 @@ def _is_address(name: str) -> bool:
 
 
 def _without_port(host: str) -> str:
-    """The name in a Host header: any port, since a tunnel may have another."""
+    """Return the name in a Host header, with any port, since a tunnel may have another."""
     if host.startswith('['):
         return host[1:].partition(']')[0].lower()
     return host.partition(':')[0].lower()

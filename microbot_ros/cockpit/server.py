@@ -1,4 +1,4 @@
-"""The server of the page: a Starlette application, and the thread in which it runs."""
+"""Server of the page: a Starlette application, and the thread in which it runs."""
 
 from __future__ import annotations
 
@@ -37,24 +37,33 @@ from microbot_ros.cockpit.stopping import Stopping
 from microbot_ros.common.errors import InputError
 
 _STATE_S = 0.1
+"""Interval of the state [s]. Choice: ten a second follow the eye; half doubles the load of slow
+links."""
 _LAST_STOP_S = 0.5
+"""Time [s] for the last stop at the end of the server. Choice: sending takes milliseconds, and the
+driver disarms by itself without heartbeats."""
 _STOOD_STILL_S, _DEAF_S = 0.7, 0.5
-"""A page that hears nothing for so long takes the link for lost, and what it asked for for not
-done. A server that stood still makes that true: for so long it then does nothing but stop and
-disarm."""
+"""Times [s] of a server that stood still. A page that hears nothing for the first time takes the
+link for lost, and its requests for not done. A server that stood still makes that true: for the
+second time it then does nothing but stop and disarm."""
 _MOST_PAGES = 16
+"""Largest number of pages. Choice: more than a laboratory opens; each costs a picture 30 times a
+second."""
 _SILENT_S = 10.0
-"""A page says every second that it is there, while it is seen. One that was silent for so long
-makes room where there are `_MOST_PAGES`."""
+"""Silence [s] after which a page makes room if there are `_MOST_PAGES`. Choice: ten reports, as a
+visible page reports its presence every second."""
 _MOST_IN_WORK = 8
+"""Largest number of verbs of one page in work. Choice: a person has one or two."""
 _MOST_STOPS = 8
-"""STOPs of one page whose answers it waits for; more are sent too, and answered at once."""
+"""Largest number of STOPs of one page whose answers it waits for; more are sent too, and answered
+at once. Choice: more than a person presses in a second."""
 _LONGEST_MESSAGE = 128 * 1024
+"""Longest message of a page [bytes]. Choice: a path of 2000 points takes less."""
 _BUFFER = 256 * 1024
-"""What may wait in the system for a page that does not read: a frozen one is not to be shown the
-past when it wakes."""
+"""Bytes that may wait in the system for a page that does not read. Choice: some pictures, as a
+frozen page must not be shown the past when it wakes."""
 _CURVE, _CURVE_S = 240, 0.25
-"""Points of a curve that are kept, and the time [s] between them."""
+"""Number of points of a curve and their interval [s]. Choice: one minute at four a second."""
 _DRAWN = ('v_um_s', 'v_std_um_s', 'phi_deg', 'phi_std_deg')
 _FOREIGN = 'another page has control'
 _LATE = 'the cockpit was blocked and sends nothing late: ask again'
@@ -63,11 +72,29 @@ _log = logging.getLogger(__name__)
 
 
 class Server:
-    """Serves the page of a `rig` at `host` and `port`, 0 for any that is free, with its
-    `discovery` and its `recordings`; without a token if `open_to_all`, see `Gatekeeper`.
+    """Server of the page of a rig.
 
-    All but `start` and `stop` happens in a thread of its own. Raises InputError where it can't
-    listen there.
+    All but `start` and `stop` runs in its own thread.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    discovery : Discovery
+        Discovery that the page starts.
+    recordings : Recordings
+        Recordings that the page lists.
+    host : str
+        Name or address to listen at.
+    port : int
+        Port to listen at; 0 for any that is free.
+    open_to_all : bool
+        Whether there is no token, see `Gatekeeper`.
+
+    Raises
+    ------
+    InputError
+        If it cannot listen there.
     """
 
     def __init__(self, rig: Rig, discovery: Discovery, recordings: Recordings, host: str,
@@ -99,32 +126,32 @@ class Server:
 
     @property
     def address(self) -> str:
-        """What to open in a browser, its token included."""
+        """Address to open in a browser, its token included."""
         host = f'[{self._host}]' if ':' in self._host else self._host
         key = f'?token={self._gate.token}' if self._gate.token else ''
         return f'http://{host}:{self._port}/{key}'
 
     @property
     def port(self) -> int:
-        """The port at which it listens."""
+        """Port at which it listens."""
         return self._port
 
     @property
     def pages(self) -> int:
-        """How many pages there are."""
+        """Number of pages."""
         return self._control.pages
 
     @property
     def serving(self) -> bool:
-        """Whether its thread is there."""
+        """Whether its thread runs."""
         return self._thread.is_alive()
 
     def start(self) -> None:
-        """Serve, from now on."""
+        """Start to serve."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Close every socket, end the discovery, and be gone."""
+        """Close every socket, end the discovery and the thread."""
         self._uvicorn.should_exit = True
         if self._thread.ident is not None:
             self._thread.join()
@@ -185,11 +212,11 @@ class Server:
         await self._discovery.end()
 
     def _on_picture(self, stamp: int, jpeg: bytes) -> None:
-        """From any thread: a picture for every page."""
+        """Show a picture on every page; callable from any thread."""
         self._loop.call_soon_threadsafe(self._show, stamp, jpeg)
 
     def _on_particles(self, message: dict[str, Any]) -> None:
-        """From any thread: what is seen in a picture, for every page."""
+        """Show the particles of a picture on every page; callable from any thread."""
         text = json.dumps(message, ensure_ascii=False, allow_nan=False)
         self._loop.call_soon_threadsafe(self._mark, text)
 
@@ -202,7 +229,7 @@ class Server:
             page.particles(text)
 
     async def _tell_state(self) -> None:
-        """The state to every page, each part written once for all."""
+        """Send the state to every page, each part serialised once for all."""
         while True:
             await asyncio.sleep(_STATE_S)
             self._tick(time.monotonic())
@@ -228,7 +255,7 @@ class Server:
                            time.monotonic())
 
     def _keep_curves(self, estimates: list[dict[str, Any]], now_s: float) -> None:
-        """Keep `estimates` of `now_s` [s], four times a second, for pages that come later."""
+        """Keep estimates four times a second, for pages that come later."""
         for one in estimates:
             kept = self._curves.setdefault(one['id'], deque(maxlen=_CURVE))
             if not kept or now_s - kept[-1][0] >= _CURVE_S:
@@ -243,13 +270,13 @@ class Server:
             for name, kept in self._curves.items()}}
 
     def _tick(self, now_s: float) -> None:
-        """Know at `now_s` [s] for how long the server stood still."""
+        """Determine at `now_s` [s] for how long the server stood still."""
         if now_s - self._ticked_s > _STOOD_STILL_S:
             self._deaf_until_s = now_s + _DEAF_S
         self._ticked_s = now_s
 
     def _stood_still(self, now_s: float) -> bool:
-        """Whether what is read at `now_s` [s] may have waited for longer than a page believes."""
+        """Return whether a message read at `now_s` [s] may have waited too long to be obeyed."""
         return now_s - self._ticked_s > _STOOD_STILL_S or now_s < self._deaf_until_s
 
     def _control_of(self, page: Page) -> dict[str, Any]:
@@ -261,11 +288,11 @@ class Server:
                 'verbs': list(verbs.NAMES), **self._known()}
 
     def _known(self) -> dict[str, Any]:
-        """Of the rig what changes hardly ever."""
+        """Return the properties of the rig that rarely change."""
         return {'camera': self._rig.camera(), 'kinds': self._rig.kinds}
 
     async def _serve(self, web_socket: WebSocket) -> None:
-        """One page, from its coming to its going."""
+        """Serve one page until it is gone."""
         if len(self._pages) >= _MOST_PAGES and not self._make_room(time.monotonic()):
             await web_socket.close()
             return
@@ -292,8 +319,7 @@ class Server:
             await asyncio.gather(sending, receiving, return_exceptions=True)
 
     def _make_room(self, now_s: float) -> bool:
-        """End the page that has been silent for the longest at `now_s` [s]; whether there is one.
-        """
+        """End the page that has been silent for the longest, if it is silent for long enough."""
         page = min(self._pages.values(), key=lambda one: one.heard_s)
         if now_s - page.heard_s <= _SILENT_S:
             return False
@@ -315,7 +341,7 @@ class Server:
             pass  # gone, or it sent bytes
 
     def _obey(self, page: Page, verb: verbs.AnyVerb) -> None:
-        """Do what takes no time now; anything else in a task, so that no STOP waits behind it."""
+        """Perform a verb, in a task if it takes time, so that no STOP waits behind it."""
         now_s, controls = time.monotonic(), self._control.holder == page.number
         match verb:
             case verbs.Seen():
@@ -351,7 +377,7 @@ class Server:
         task.add_done_callback(self._tasks.discard)
 
     def _stop(self, page: Page, verb: verbs.Order) -> None:
-        """Have zero sent, whatever else is in work; heartbeats end with it."""
+        """Send zero, whatever else is in work; heartbeats end with it."""
         self._control.attended = False
         sent = self._stopping.want()
         if page.stops >= _MOST_STOPS:
@@ -394,7 +420,7 @@ class Server:
 
 
     def _answer_to(self, page: Page, verb: verbs.Order, ok: bool, said: str) -> dict[str, Any]:
-        """The answer to a `verb` of a `page`, which is an event too."""
+        """Return the answer to a verb of a page, which is an event too."""
         text = verbs.told(verb) + (f': {said}' if said else '')
         self._events.add(_named(page), 'ok' if ok else 'refused', text)
         return {**_answer(verb.id, ok, said), **({} if ok else explained(said))}
@@ -405,14 +431,14 @@ def _named(page: Page) -> str:
 
 
 def _explain(state: dict[str, Any]) -> None:
-    """Add cause and cure of what is wrong, as far as they are known."""
+    """Add cause and cure of each problem in the state, as far as they are known."""
     state['why'] = explained(state['sentence']) if state.get('rig') == 'fault' else None
     state['health'] = [one if one['level'] == 'ok' else one | explained(one['sentence'])
                        for one in state.get('health') or []]
 
 
 def _json(part: Any) -> str:
-    """A part of the state; null where a node has told a number that is none."""
+    """Return a part of the state as JSON; null if a node reported a number that is not finite."""
     try:
         return json.dumps(part, ensure_ascii=False, allow_nan=False)
     except ValueError:
@@ -420,7 +446,7 @@ def _json(part: Any) -> str:
 
 
 async def _for_ever(work: Callable[[], Awaitable[None]]) -> None:
-    """Do some `work`, and again where it has failed."""
+    """Perform work in an endless loop, also after a failure."""
     while True:
         try:
             await work()
@@ -434,7 +460,7 @@ def _answer(to: int | None, ok: bool, reason: str = '') -> dict[str, Any]:
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """A socket that listens at `host` and `port`; InputError where that can't be."""
+    """Return a socket that listens at an address; InputError if that is impossible."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]

@@ -1,18 +1,19 @@
-"""A stick as the server hears it: what went silent counts again only once it was let go."""
+"""Joystick of a page: after a silence it counts again only once it was released."""
 
 from __future__ import annotations
 
 import math
 
 _GAP_S = 0.25
-"""A page says 20 times a second where a stick is that is held. After such a silence the controller
-has counted it as centred (`joy_timeout_ms`), and what is still held is to start nothing."""
+"""Silence [s] of a held joystick, which a page reports 20 times a second, after which it must be
+released. After it the controller has counted the joystick as centred (`joy_timeout_ms`), and a
+position still held must start nothing."""
 
 
 class Steering:
-    """The stick of one page: whether what it says counts.
+    """Joystick of one page, and whether its position counts.
 
-    `rested`: whether it was let go since it last went silent, or spoke without counting.
+    `rested` is whether it was released since it last went silent, or moved without counting.
     """
 
     def __init__(self) -> None:
@@ -20,8 +21,22 @@ class Steering:
         self._moving_s = math.inf
 
     def counts(self, x: float, y: float, now_s: float, allowed: bool) -> bool:
-        """Whether a stick at `x`, `y`, heard at `now_s` [s] of a page that is `allowed` to steer
-        or not, is to be passed on."""
+        """Return whether a position of the joystick is passed on.
+
+        Parameters
+        ----------
+        x, y : float
+            Position from −1 to 1.
+        now_s : float
+            Time [s] at which it was received.
+        allowed : bool
+            Whether the page may steer.
+
+        Returns
+        -------
+        bool
+            Whether it is passed on.
+        """
         if x == y == 0.0:
             self.rested, self._moving_s = True, math.inf
             return allowed

@@ -1,4 +1,4 @@
-"""STOP: outside every cap of the server, with a rate of its own."""
+"""STOP: outside every limit of the server, with its own rate."""
 
 from __future__ import annotations
 
@@ -8,12 +8,19 @@ import time
 from microbot_ros.cockpit.rig import Answer, Rig
 
 EVERY_S = 0.1
-"""Shortest time between two requests to the driver. The first goes out at once; those that come
-sooner after it share the next, so that a page that floods the server delays no other by more."""
+"""Shortest interval [s] between two requests to the driver. Choice: the first is sent at once;
+those that come sooner after it share the next, so that a page that floods the server delays no
+other by more."""
 
 
 class Stopping:
-    """Sends every STOP to a `rig`: none is dropped, and none waits for an answer to another."""
+    """Sender of STOPs to a rig: none is dropped, and none waits for an answer to another.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    """
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
@@ -21,7 +28,13 @@ class Stopping:
         self._sent_s = -EVERY_S
 
     def want(self) -> asyncio.Task[Answer]:
-        """Have a request sent from now on, at once or with others; return what it comes to."""
+        """Send a request, at once or together with others.
+
+        Returns
+        -------
+        Task of str
+            Its answer.
+        """
         if self._next is None:
             self._next = asyncio.create_task(self._send())
             self._next.add_done_callback(_heard)
@@ -36,6 +49,6 @@ class Stopping:
 
 
 def _heard(task: asyncio.Task[Answer]) -> None:
-    """Take the exception of a request for which no page waits any more."""
+    """Retrieve the exception of a request for which no page waits any more."""
     if not task.cancelled():
         task.exception()

@@ -1,4 +1,4 @@
-"""What a page may ask for: each verb with what it takes, checked before anybody hears of it."""
+"""Requests of a page: each verb with its arguments, checked before any node receives it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ from microbot_ros.common.errors import one_line, shown
 from microbot_ros.common.plausible import plausible_range
 
 _LONGEST_PATH = 2000
+"""Most points of a path. Choice: far more than a hand draws; twice doubles the longest message."""
 _LONGEST_TEXT = 2000
+"""Most characters of a text. Choice: a page of notes."""
 
 _FARTHEST_UM = plausible_range('x_um')[1]
+"""Largest coordinate [µm], that of the plausible range of recorded data."""
 _LARGEST_PX = plausible_range('x_px')[1]
+"""Largest pixel coordinate, that of the plausible range of recorded data."""
 Micrometres = Annotated[float, Field(ge=-_FARTHEST_UM, le=_FARTHEST_UM, allow_inf_nan=False)]
 Pixels = Annotated[float, Field(ge=-_LARGEST_PX, le=_LARGEST_PX, allow_inf_nan=False)]
 Deflection = Annotated[float, Field(ge=-1.0, le=1.0, allow_inf_nan=False)]
@@ -30,7 +34,7 @@ _Scalar = bool | _Number | Finite | Text
 
 
 class Verb(BaseModel):
-    """A message of a page; `id` comes back with the answer."""
+    """Message of a page; `id` is returned with the answer."""
 
     model_config = ConfigDict(extra='forbid', strict=True, frozen=True)
     needs_control: ClassVar[bool] = True
@@ -46,14 +50,14 @@ class Seen(Verb):
 
 
 class Heartbeat(Verb):
-    """Somebody is there."""
+    """An operator is present."""
 
     needs_control = False
     verb: Literal['heartbeat']
 
 
 class Stick(Verb):
-    """Where a stick, or keys, are now."""
+    """Present position of the joystick, or of keys."""
 
     verb: Literal['stick']
     x: Deflection
@@ -61,38 +65,38 @@ class Stick(Verb):
 
 
 class TakeControl(Verb):
-    """The page is to have control."""
+    """Request for control."""
 
     needs_control = False
     verb: Literal['take_control']
 
 
 class Order(Verb):
-    """A verb that ends with an answer."""
+    """Verb that ends with an answer."""
 
 
 class Stop(Order):
-    """Zero the coils, whoever asks; the server sends it by `Stopping`."""
+    """Zero the coils, from any page; the server sends it by `Stopping`."""
 
     needs_control = False
     verb: Literal['stop']
 
 
 class Arm(Order):
-    """Let currents flow; `attended`: only while a page is there."""
+    """Let currents flow; if `attended`, only while a page is present."""
 
     verb: Literal['arm']
     attended: bool
 
 
 class Disarm(Order):
-    """Let none flow any more; as `Stop`, by the page in control."""
+    """Zero the coils, as `Stop`, by the page in control."""
 
     verb: Literal['disarm']
 
 
 class Goal(Order):
-    """A place to go to."""
+    """Place to go to."""
 
     verb: Literal['goal']
     x_um: Micrometres
@@ -101,13 +105,13 @@ class Goal(Order):
 
 
 class ClearGoals(Order):
-    """No place to go to any more."""
+    """Cancel the goals and the path."""
 
     verb: Literal['clear_goals']
 
 
 class Path(Order):
-    """A path to follow."""
+    """Path to follow."""
 
     verb: Literal['path']
     points_um: Annotated[
@@ -116,14 +120,14 @@ class Path(Order):
 
 
 class SwitchController(Order):
-    """Another controller is to drive."""
+    """Switch to another controller."""
 
     verb: Literal['switch_controller']
     name: Name
 
 
 class Set(Order):
-    """A parameter of the controllers."""
+    """Set a parameter of the controllers."""
 
     verb: Literal['set']
     name: Name
@@ -131,7 +135,7 @@ class Set(Order):
 
 
 class Teach(Order):
-    """A particle pointed at, or what is none."""
+    """Show an example of a particle, or of something else."""
 
     verb: Literal['teach']
     x_px: Pixels
@@ -142,7 +146,7 @@ class Teach(Order):
 
 
 class Record(Order):
-    """Begin a recording, or end it."""
+    """Begin or end a recording."""
 
     verb: Literal['record']
     on: bool
@@ -150,14 +154,14 @@ class Record(Order):
 
 
 class Note(Order):
-    """A line for the recording that runs."""
+    """Add a line to the present recording."""
 
     verb: Literal['note']
     text: Annotated[str, Field(min_length=1, max_length=_LONGEST_TEXT)]
 
 
 class Discover(Order):
-    """Look for what the model is missing by driving the rig, or stop looking."""
+    """Begin or end a discovery, which drives the rig to find what the model lacks."""
 
     verb: Literal['discover']
     on: bool
@@ -171,7 +175,7 @@ _ADAPTER: TypeAdapter[AnyVerb] = TypeAdapter(AnyVerb)
 
 NAMES = tuple(get_args(kind.model_fields['verb'].annotation)[0]
               for kind in get_args(get_args(AnyVerb)[0]))
-"""What pages may say, in the words of the protocol."""
+"""Names of the verbs in the protocol."""
 
 
 _METHODS: dict[type[Verb], Callable[[Any, Rig, Discovery], Awaitable[Answer]]] = {
@@ -187,16 +191,47 @@ _METHODS: dict[type[Verb], Callable[[Any, Rig, Discovery], Awaitable[Answer]]] =
     Note: lambda verb, rig, _: rig.note(one_line(verb.text)),
     Discover: lambda verb, rig, discovery: (
         discovery.start(verb.minutes, rig.state().get('rig')) if verb.on else discovery.stop())}
-"""What does each; STOP and the others that wait for nobody are the server's."""
+"""Action of each verb; the server performs STOP and the verbs without answer."""
 
 
 async def perform(verb: Order, rig: Rig, discovery: Discovery) -> Answer:
-    """Have a `verb` done by the `rig`, or by `discovery`; RefusedError with the reason if not."""
+    """Perform a verb.
+
+    Parameters
+    ----------
+    verb : Order
+        The verb.
+    rig : Rig
+        The rig.
+    discovery : Discovery
+        The discovery.
+
+    Returns
+    -------
+    Answer
+        Answer of the node.
+
+    Raises
+    ------
+    RefusedError
+        If it is refused, with the reason.
+    """
     return await _METHODS[type(verb)](verb, rig, discovery)
 
 
 def told(verb: Order) -> str:
-    """What a `verb` asks for, for people: what is set to what, where it is to go."""
+    """Return a verb as text for people, with its values.
+
+    Parameters
+    ----------
+    verb : Order
+        The verb.
+
+    Returns
+    -------
+    str
+        The text.
+    """
     match verb:
         case Arm():
             return 'Arm, attended' if verb.attended else 'Arm'
@@ -224,8 +259,15 @@ def told(verb: Order) -> str:
 
 
 class VerbError(ValueError):
-    """What a page sent, a `text`, is no verb, for a `reason` in one sentence; `id` is its own, if
-    any."""
+    """Error of a text that is no verb.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+    reason : str
+        Why, in one sentence.
+    """
 
     def __init__(self, text: str, reason: str) -> None:
         super().__init__(one_line(reason))
@@ -233,7 +275,23 @@ class VerbError(ValueError):
 
 
 def read_verb(text: str) -> AnyVerb:
-    """The verb in a `text` of a page. VerbError for anything else."""
+    """Return the verb in a text of a page.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+
+    Returns
+    -------
+    objectVerb
+        The verb.
+
+    Raises
+    ------
+    VerbError
+        If it is anything else.
+    """
     try:
         return _ADAPTER.validate_json(text)
     except ValidationError as error:

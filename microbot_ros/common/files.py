@@ -151,7 +151,7 @@ def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None
     there = [name for name in names if (folder / name).exists()]
     if there and not force:
         raise InputError(folder, f'expected a folder without {", ".join(there)}; --force replaces '
-                                 'what is there')
+                                 'these files')
 
 
 @contextmanager

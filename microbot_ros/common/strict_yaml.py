@@ -70,7 +70,7 @@ class StrictLoader(yaml.SafeLoader):
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode):
                 if (key.tag, key.value) in seen:
-                    _refuse(f"the key '{clipped(key.value)}' stands there twice", key.start_mark)
+                    _refuse(f"the key '{clipped(key.value)}' appears twice", key.start_mark)
                 seen.add((key.tag, key.value))
         return node
 
@@ -94,7 +94,7 @@ def load(text: str, loader: type[StrictLoader] = StrictLoader) -> tuple[yaml.Nod
         problem = getattr(error, 'problem', None) or getattr(error, 'reason', None)
         raise YamlError(clipped(str(problem or 'not YAML')), mark and mark.line + 1) from None
     except _WRONG_TAG:
-        raise YamlError('a value is not what its tag or its form says') from None
+        raise YamlError('a value does not match its tag or its form') from None
     finally:
         reader.dispose()
 

@@ -198,8 +198,8 @@ def _reservations(known: Hypotheses, judgement: Judgement) -> list[str]:
         assert effect is not None
         floors = ', '.join(f'{p.meaning} {p.display_units(p.floor):g} {symbol(p.name)}'.strip()
                            for p in effect.parameters() if p.floor)
-        told.append(f'{words(name)}: too small to be told from an error of camera, time stamps or '
-                    f'coils, and not named (floor: {floors}).')
+        told.append(f'{words(name)}: too small to be distinguished from an error of camera, time '
+                    f'stamps or coils, and not named (floor: {floors}).')
     return told + [
         f'{words(name)}: recorded for less than {EFFECTS[name].lookalike_time:.0f} s. In that '
         'time another quantity that varies with position or time can look like it.'

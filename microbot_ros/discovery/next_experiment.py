@@ -54,7 +54,7 @@ _MENU = (
           (2.4, -1.3, 0.7, -2.9, 1.8, -0.4), levels=(1.0, 1 / 3, 1 / 3, 1.0, 1.0, 1 / 3, 1.0)),
     _Plan('turns by 175° and by 30° in both senses, each held for 2 s',
           (3.05, 0.52, -3.05, -0.52), hold=(2.0, 2.0)),
-    _Plan('straight there and back, 20 s each way, twice, at right angles',
+    _Plan('straight lines forth and back, 20 s each, twice, at right angles',
           (np.pi, np.pi / 2), hold=(20.0, 20.0)),
     _Plan('a square driven in both senses, 5 s per side', (1.571, 1.571, 1.571, 1.571, -1.571,
                                                         -1.571, -1.571, -1.571), hold=(5.0, 5.0)),

@@ -55,7 +55,7 @@ _ARMING_S = 10.0
 lines."""
 _DISARMING_S = 0.2
 """Longest time [s] that `disarm` waits for the line. Choice: two attempts on the slowest line."""
-STOPPED = 'the rig was stopped after this was asked; ask again'
+STOPPED = 'the rig was stopped after this request; request it again'
 """Why arming is refused that was requested before a stop, a trip or a signal."""
 WITHOUT_WATCHDOG = ('if this computer loses its power while coils are driven, the last currents '
                     'flow until the amplifier is switched off by hand')

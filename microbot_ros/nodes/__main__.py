@@ -1,4 +1,4 @@
-"""`python -m microbot_ros.nodes NODE`."""
+"""Entry point of `python -m microbot_ros.nodes NODE`."""
 
 from microbot_ros.nodes.process import main
 

@@ -24,10 +24,14 @@ from microbot_ros.nodes.base.lifecycle import ERROR, IMAGES_OUT, OK, WARN, RigNo
 from microbot_ros.nodes.base.preview import Preview
 
 _RETRY_SECONDS = 1.0
+"""Pause [s] before a lost device is tried again. Choice: a device that is plugged in works after
+it; half would fill the log."""
 _FRESH_SECONDS = 1.0
-"""What a camera has gathered for longer before it is wanted is let go."""
+"""Time [s] that an open camera may wait to be started. Choice: frames gathered for longer are
+discarded with their stream."""
 _TURN_SECONDS = 0.1
-"""So often the thread looks up from a camera that gives nothing."""
+"""Longest wait [s] for a frame. Choice: a stop takes effect within it; shorter waits cost
+wake-ups."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +46,10 @@ class CameraParameters(CameraSettings):
 
 
 class CameraNode(RigNode):
-    """Publishes `camera/image_raw` from a thread of its own, because devices block, and
-    `camera/camera_info` with each; `camera/preview` for screens."""
+    """Node that publishes `camera/image_raw` from its own thread, because devices block.
+
+    It publishes `camera/camera_info` with each frame, and `camera/preview` for screens.
+    """
 
     Parameters: ClassVar[type] = CameraParameters
 
@@ -122,7 +128,7 @@ class CameraNode(RigNode):
             self._close()
 
     def _play(self) -> None:
-        """Publish until the end, or until the device is lost; then it is tried again."""
+        """Publish until the end, or until the device is lost; then try the device again."""
         try:
             if self._stream is None:
                 self._open()

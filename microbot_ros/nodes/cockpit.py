@@ -1,4 +1,4 @@
-"""Node `cockpit`: the operator's page. ROS in this thread, the server of the page in another."""
+"""Node `cockpit`: the operator's page; ROS in this thread, the page's server in another."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from microbot_ros.cockpit.server import Server
 
 _ATTEND_SECONDS = 0.05
+"""Interval [s] at which subscriptions are updated. Choice: a new page waits for its picture as
+long."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,10 @@ class CockpitParameters:
 
 
 class CockpitNode(RigNode):
-    """Shows the rig of its namespace on a page, and has done what the page's operator asks.
+    """Node that shows the rig of its namespace on a page and executes the operator's requests.
 
-    It drives nothing by itself, and nothing needs it: what it is asked goes to the nodes that do
-    it, and their answers go back.
+    It drives nothing by itself, and no other node needs it: requests go to the nodes that execute
+    them, and their answers go back to the page.
     """
 
     Parameters: ClassVar[type] = CockpitParameters

@@ -1,4 +1,4 @@
-"""Node `coil_driver`: the wanted field as four currents, through the gate, to the amplifier."""
+"""Node `coil_driver`: the commanded field as coil currents, through the gate, to the amplifier."""
 
 from __future__ import annotations
 
@@ -33,22 +33,25 @@ from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode
 
 _WARM = 0.01
-"""Heat of a coil, as a part of what it bears, from which on it is kept for a restart."""
+"""Heat of a coil, as a part of the heat it bears, from which it is stored for a restart. Choice:
+less has no effect on the gate's decision."""
 _REMIND_SECONDS = 0.2
-"""Pause between two messages that the gate is armed, while it waits for a zero."""
+"""Interval [s] of the messages that the gate is armed, while it waits for a zero. Choice: five a
+second reach a controller that was delayed."""
 _COMMANDER_SECONDS = 2.0
-"""How long arming waits for whoever commands to be seen: both may just have been started."""
+"""Time [s] that arming waits for a commander to be discovered, as both nodes may just have been
+started. Choice: half refuses on a busy machine, twice delays every refusal."""
 
 
 LIMITS = {
     Reason.LIMIT: 'current_limit_A', Reason.SLEW: 'step_limit_A, slew_limit_A_per_s',
     Reason.STALE: 'command_timeout_ms', Reason.DEVIATION: 'deviation_A, settling_ms',
     Reason.SILENCE: 'feedback_timeout_ms', Reason.HEAT: 'rated_current_A, thermal_s'}
-"""What the gate found → the parameters that say how much of it is allowed."""
+"""Parameters that set the limit, by the reason of a fault."""
 
 
 def _told(fault: Fault) -> str:
-    """A fault for people, with the parameters of the limit that was passed."""
+    """Return a fault as text, with the parameters of the violated limit."""
     limits = f' ({LIMITS[fault.reason]})' if fault.reason in LIMITS else ''
     return f'{fault.reason.value}{limits}: {fault.detail}'
 
@@ -83,16 +86,17 @@ class CoilDriverParameters(GateParameters):
 
 
 class CoilDriverNode(RigNode):
-    """`field/command`, `field/rotating` → the line; the line → `coils/…`, `field/applied`, ….
+    """Node between `field/command`, `field/rotating` and the amplifier, which publishes `coils/…`.
 
-    A message on `field/command` is a field that stands, one on `field/rotating` a field that
-    rotates; the newest of both is driven.
+    A message on `field/command` is a constant field, a message on `field/rotating` a rotating
+    field; the newest of both is driven. It publishes `coils/command`, `coils/applied`,
+    `coils/measured`, `field/applied` and `coil_driver/latency`.
 
-    A shell: the gate, the dead-man and the reconnecting are in `drive`, and need no executor.
-    Arming is for one commander, the one node that publishes commands then: a second one, or
-    another in its place, ends it. A request to arm waits in a thread of its own, so that a request
-    to disarm zeroes at once, and is refused where a stop, a fault or a signal came after it was
-    sent. `~/heartbeat` says that an operator is there (`Gate.attend`).
+    The node is a shell: the gate, the dead-man and the reconnection are in `drive` and need no
+    executor. Arming is valid for one commander, the one node that publishes commands at that time:
+    a second one, or another in its place, ends it. A request to arm waits in its own thread, so
+    that a request to disarm zeroes at once; it is refused if a stop, a fault or a signal came
+    after it was sent. `~/heartbeat` reports that an operator is present (`Gate.attend`).
     """
 
     Parameters: ClassVar[type] = CoilDriverParameters
@@ -187,7 +191,7 @@ class CoilDriverNode(RigNode):
         return OK, 'driving' + (self._driver.warning and f'; {self._driver.warning}')
 
     def _zero_sentence(self, zero: Zero | None) -> str:
-        """What is known of the currents, in words: `zero`, and what follows from it."""
+        """Return the state of the currents as text: `zero`, and what follows from it."""
         amplifier = self._driver.amplifier
         if zero is Zero.UNREACHABLE:
             return (f'{zero}: {", ".join(amplifier.unreachable) or self.settings.port}; these '
@@ -197,9 +201,9 @@ class CoilDriverNode(RigNode):
         return zero or 'current is commanded'
 
     def _save_heat(self) -> None:
-        """Keep the heat for a restart, where a coil is warm or was.
+        """Store the heat for a restart, if a coil is or was warm.
 
-        In the executor's thread: a disk that is slow must not hold up the driver's.
+        It runs in the executor's thread: a slow disk must not delay the driver's thread.
         """
         heat = self._driver.gate.heat
         try:
@@ -234,7 +238,7 @@ class CoilDriverNode(RigNode):
 
     def _take(self, topic: str, field: np.ndarray, angular_velocity: np.ndarray,
               stamp: Time) -> None:
-        """Drive a command from a `topic`, unless its `stamp` is too old or in the future."""
+        """Drive a command from a topic, unless its stamp is too old or in the future."""
         age = self.seconds() - messages.to_seconds(stamp)
         if age < -0.05:
             self._refuse(f'{topic} is {-age:.3f} s ahead of the clock here; command ignored')
@@ -250,7 +254,7 @@ class CoilDriverNode(RigNode):
             self._wanted.publish(messages.currents(self.stage.coils.names, wanted, stamp))
 
     def _drive(self, field: np.ndarray, angular_velocity: np.ndarray, stamp: Time) -> np.ndarray:
-        """Give a field to the driver, and return the currents (N,) [A] that begin it."""
+        """Give a field to the driver and return the currents (N,) [A] at its start."""
         nothing = not field.any()
         if nothing or not angular_velocity.any():
             wanted = self.stage.step(field)
@@ -266,12 +270,12 @@ class CoilDriverNode(RigNode):
         self.complain(sentence)
 
     def _on_sent(self, command: Command) -> None:
-        """In the driver's thread: a command has gone out, zeros where the gate tripped."""
+        """Publish a command that was sent, zeros if the gate tripped; in the driver's thread."""
         self._applied.publish(
             messages.currents(self.stage.coils.names, command.currents_A, command.tag))
 
     def _on_reading(self, reading: Reading) -> None:
-        """In the driver's thread: publish what was measured, and how long it took."""
+        """Publish measured currents and their latency; in the driver's thread."""
         self._tell_changes()
         now = self.get_clock().now().to_msg()
         self._measured.publish(messages.currents(self.stage.coils.names, reading.currents_A, now))
@@ -286,10 +290,11 @@ class CoilDriverNode(RigNode):
             self._latencies.publish(message)
 
     def _tell_changes(self) -> None:
-        """Publish at once whether the gate is armed, and what is known of a zero.
+        """Publish at once whether the gate is armed, and the state of a zero.
 
-        Again and again while the driver waits for a zero after arming: the controller commands
-        one when it is told, and a node that is held up takes the newest command alone.
+        The message is repeated while the driver waits for a zero after arming: the controller
+        commands one when it receives the message, and a delayed node receives only the newest
+        command.
         """
         armed, zero = self._driver.gate.armed, self._driver.zero
         again = (armed and self._driver.gate.holding
@@ -321,7 +326,7 @@ class CoilDriverNode(RigNode):
         return sorted(names.elements()), endpoints
 
     def _on_commanders(self, _: Any) -> None:
-        """A commander has come or gone: the rig was armed for one."""
+        """Zero if the commander has changed since arming."""
         names, endpoints = self._commanders()
         if not self._driver.gate.armed or not names:
             return
@@ -334,7 +339,7 @@ class CoilDriverNode(RigNode):
         self._driver.request_zero((Reason.COMMANDER, detail))
 
     def _choose_commander(self, epoch: int) -> str:
-        """Remember the one who commands; or, where there is not exactly one, say so.
+        """Store the only commander; return why not if there is not exactly one.
 
         A stop or fault after `epoch` ends the search.
         """
@@ -352,7 +357,7 @@ class CoilDriverNode(RigNode):
         return ''
 
     def _on_arm_asked(self, request: Any, header: Any) -> threading.Event | int:
-        """In the executor: send zero at once, or note the epoch in which arming was asked."""
+        """Send zero at once, or return the epoch of a request to arm; called in the executor."""
         if not request.data:
             return self._driver.request_zero()
         if header.source_timestamp * 1e-9 < self._driver.epoch_wall_s:
@@ -360,7 +365,10 @@ class CoilDriverNode(RigNode):
         return self._driver.epoch
 
     def _on_arm(self, request: Any, response: Any, asked: Any) -> Any:
-        """In a thread of its own: wait for what was `asked` (`_on_arm_asked`), and answer."""
+        """Answer a request to arm or disarm; called in its own thread.
+
+        `asked` is the result of `_on_arm_asked`.
+        """
         if not request.data:
             zero = self._driver.await_zero(asked)
             response.success = zero is Zero.CONFIRMED or (

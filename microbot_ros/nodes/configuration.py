@@ -1,4 +1,4 @@
-"""The ROS parameter file of a rig, checked before anything starts."""
+"""ROS parameter file of a rig, checked before anything starts."""
 
 from __future__ import annotations
 
@@ -29,12 +29,27 @@ class _File(pydantic.RootModel[dict[str, _Section]]):
 
 
 def read_rig(path: str | Path, namespace: str = '') -> dict[str, dict[str, Any]]:
-    """Node → its parameters by full names, from the ROS parameter file `path`.
+    """Return the parameters of each node from a ROS parameter file.
 
-    With a `namespace` ('/' for none) only sections that ROS gives to nodes in it; without, those
-    of a file about one rig. Raises InputError naming file and line for an unknown node, an
-    unknown parameter, a value of the wrong type or out of range; and where no section is for nodes
-    of the `namespace`, which ROS would leave at their defaults.
+    Parameters
+    ----------
+    path : str or Path
+        File.
+    namespace : str
+        Only sections that ROS gives to nodes in this namespace ('/' for the root); '' for those of
+        a file about one rig.
+
+    Returns
+    -------
+    dict[str, dict of str to object]
+        Parameters by node and full name.
+
+    Raises
+    ------
+    InputError
+        With file and line, for an unknown node, an unknown parameter, a value of the wrong type or
+        out of range; and if no section is for nodes of the namespace, which ROS would leave at
+        their defaults.
     """
     sections = read_yaml(path, _File).root
     rig: dict[str, dict[str, Any]] = {}
@@ -64,9 +79,27 @@ def read_rig(path: str | Path, namespace: str = '') -> dict[str, dict[str, Any]]
 
 def refused(path: str | Path, rig: dict[str, dict[str, Any]], namespace: str, node: str,
             problem: str) -> InputError:
-    """Why a `node` of a `rig` could not start, a `problem` in its own words, where the file `path`
-    caused it for the rig of a `namespace`: by the line of the parameter that the words name, or
-    whose text they show.
+    """Return the error for a node that could not start, with the line of its cause in the file.
+
+    The line is that of the parameter that the problem names, or whose text it contains.
+
+    Parameters
+    ----------
+    path : str or Path
+        File.
+    rig : dict[str, dict of str to object]
+        Parameters by node and name.
+    namespace : str
+        Namespace of the rig; '/' for the root.
+    node : str
+        The node.
+    problem : str
+        Why the node could not start, in its own words.
+
+    Returns
+    -------
+    InputError
+        Error with file, line and node.
     """
     given = rig.get(node, {})
     texts = {name: value for name, value in given.items() if isinstance(value, str) and value}
@@ -85,8 +118,21 @@ def _speaks_of(problem: str, word: str) -> bool:
 
 
 def refuse_elsewhere(path: str | Path, node: str, namespace: str) -> None:
-    """InputError where a ROS parameter file has sections for a `node`, but none for it in this
-    `namespace`: ROS would leave it at its defaults, its limits too, without a word.
+    """Refuse a parameter file with sections for a node, but none for it in this namespace.
+
+    Parameters
+    ----------
+    path : str or Path
+        File.
+    node : str
+        Name of the node.
+    namespace : str
+        Namespace of the rig; '/' for the root.
+
+    Raises
+    ------
+    InputError
+        If ROS would leave the node, and its limits, silently at their defaults.
     """
     content = load_yaml(path)[1]
     keys = [str(key) for key in content] if isinstance(content, dict) else []
@@ -98,8 +144,10 @@ def refuse_elsewhere(path: str | Path, node: str, namespace: str) -> None:
 
 
 def _is_in(place: str, namespace: str) -> bool:
-    """Whether the `place` of a section, what stands before the name of its node, means nodes in
-    that `namespace`: '*' stands for one name, '**' for any number of them.
+    """Return whether the `place` of a section means nodes in a namespace.
+
+    The place is the part before the node's name: '*' stands for one name, '**' for any number of
+    names.
     """
     wanted = [part for part in place.split('/') if part]
     return _matches(wanted, [part for part in namespace.split('/') if part])
@@ -115,7 +163,18 @@ def _matches(wanted: list[str], names: list[str]) -> bool:
 
 
 def node_class(name: str) -> type[RigNode]:
-    """The class of a node by its name."""
+    """Return the class of a node.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+
+    Returns
+    -------
+    type[RigNode]
+        Its class.
+    """
     found: type[RigNode] = getattr(
         importlib.import_module(f'microbot_ros.nodes.{name}'), NODES[name])
     return found
@@ -123,7 +182,7 @@ def node_class(name: str) -> type[RigNode]:
 
 def _refuse_missing_packages(path: str | Path, rig: dict[str, dict[str, Any]], namespace: str,
                              ) -> None:
-    """InputError where a controller or an amplifier is named that nobody installed."""
+    """Raise InputError for a controller or an amplifier that is not installed."""
     for node, name, find in (('coil_driver', 'amplifier', amplifier_class),
                              ('controller', 'controller', controller_class)):
         try:
@@ -136,8 +195,10 @@ def _refuse_missing_packages(path: str | Path, rig: dict[str, dict[str, Any]], n
 
 def _refuse_contradictions(path: str | Path, rig: dict[str, dict[str, Any]], namespace: str,
                            ) -> None:
-    """InputError where the controller may ask for more than the coil driver was told it will, and
-    where somebody waits for what an amplifier does not measure.
+    """Raise InputError for parameters of different nodes that contradict each other.
+
+    The controller may request no more than the coil driver's full field, and no node may wait for
+    a field that the amplifier does not measure.
     """
     if 'coil_driver' not in rig:
         return
@@ -158,7 +219,7 @@ def _refuse_contradictions(path: str | Path, rig: dict[str, dict[str, Any]], nam
 
 
 def _value(rig: dict[str, dict[str, Any]], node: str, name: str) -> Any:
-    """A parameter as it is given, or its default."""
+    """Return the value of a parameter, or its default."""
     return rig[node].get(name, settings.defaults(node_class(node).Parameters)[name])
 
 
@@ -186,7 +247,7 @@ def _flatten(tree: dict[str, Any]) -> list[tuple[tuple[str, ...], Any]]:
 
 
 def _checked(path: str | Path, node: str, name: str, value: Any, line: int | None) -> Any:
-    """The value of a parameter in its type."""
+    """Return the value of a parameter in its type."""
     if name in EVERY_NODE:
         return value
     known = node_class(node).known_parameters()

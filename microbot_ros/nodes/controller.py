@@ -1,4 +1,4 @@
-"""Node `controller`: which way the field is to point, by a controller that can be switched."""
+"""Node `controller`: the direction of the field, by a controller that can be switched."""
 
 from __future__ import annotations
 
@@ -35,20 +35,33 @@ from microbot_ros.nodes.base.parameters import ParameterSet
 from microbot_ros.session.replay.log import EXPIRE, LET_GO
 
 _MARKERS_SECONDS = 0.2
+"""Interval of the markers [s]. Choice: five a second suffice for a viewer."""
 
 
 class ControllerCore(Core):
-    """`model/state`, goals → `field/command`, or `field/rotating` for a field that rotates."""
+    """Core between `model/state`, goals and the field.
+
+    It publishes `field/command`, or `field/rotating` for a rotating field.
+    """
 
     Parameters: ClassVar[type] = ControllerParameters
     frame = 'model/state'
 
     def make_stage(self, values: Callable[[str, type], Any],
                    worker: Callable[[float], DeadlineWorker]) -> None:
-        """Make the stage; `values` returns the parameters of a controller by name and class.
+        """Make the stage.
 
-        `worker` makes, from a patience [s], what calls controllers. Raises InputError where a
-        controller refuses its parameters.
+        Parameters
+        ----------
+        values : callable
+            Function that returns the parameters of a controller by its name and class.
+        worker : callable
+            Function that makes, from a patience [s], the worker that calls controllers.
+
+        Raises
+        ------
+        InputError
+            If a controller refuses its parameters.
         """
         self.stage = ControllerStage(self.settings, worker)
         answer = self.stage.configure(self.settings, {
@@ -57,9 +70,23 @@ class ControllerCore(Core):
             raise InputError('controller', answer.message)
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
-        """Configure with what has `changed`, then switch. Where the controller that drives is
-        among those `named`, it is restarted after a fault. No frame waits for it for longer than
-        for a controller that computes."""
+        """Configure with changed parameters, then switch controllers.
+
+        The active controller is restarted after a fault if `controller` is among `named`. No frame
+        waits longer than for a controller that computes.
+
+        Parameters
+        ----------
+        changed : mapping of str to object
+            New values of each parameter set by its prefix.
+        named : collection of str
+            Names of the parameters that were set.
+
+        Returns
+        -------
+        str
+            Why the change is refused; '' if it is not.
+        """
         answer = self.stage.configure(
             changed.get('', self.settings),
             {prefix.removesuffix('.'): values for prefix, values in changed.items() if prefix},
@@ -69,7 +96,7 @@ class ControllerCore(Core):
 
     @property
     def unrepeatable(self) -> str:  # type: ignore[override]
-        """Of the controller that drives."""
+        """Why the active controller may answer the same inputs differently; '' if it does not."""
         return self.stage.unrepeatable
 
     def connect(self) -> None:
@@ -93,19 +120,25 @@ class ControllerCore(Core):
         self.subscribe(Bool, 'coil_driver/armed', self._on_armed, LATCHED)
 
     def expire(self) -> None:
-        """Poses have stopped coming: let go once."""
+        """Command zero once if poses have stopped arriving."""
         if self.stage.expire(self.now_s):
             self.act(EXPIRE)
             self._publish_zero()
 
     def tell(self) -> None:
-        """Called when goals, a path or a plan were taken or refused."""
+        """Publish progress; called when goals, a path or a plan were accepted or refused."""
 
     def switched(self, message: str) -> None:
-        """Called with a `message`: what a change of parameters came to, in a sentence or ''."""
+        """Report the result of a change of parameters.
+
+        Parameters
+        ----------
+        message : str
+            Text for people, '' for none.
+        """
 
     def let_go(self) -> None:
-        """Command zero once, if anything may flow; the next command starts from there."""
+        """Command zero once, if anything may flow; the next command starts from zero."""
         if self.stage.let_go():
             self._publish_zero()
 
@@ -113,12 +146,12 @@ class ControllerCore(Core):
         (self._be_armed if message.data else self._be_disarmed)()
 
     def _be_armed(self) -> None:
-        """The coils are armed: zero first, which the driver waits for, and on from there."""
+        """Command zero first after arming, as the driver waits for it, and continue from zero."""
         self.stage.be_armed()
         self._publish_zero()
 
     def _be_disarmed(self) -> None:
-        """The coils are not, or no longer, armed: what was being carried out is forgotten."""
+        """Discard goals, path and plan when the coils are disarmed."""
         was_armed = self.stage.armed
         self.stage.be_disarmed()
         if was_armed:
@@ -154,12 +187,11 @@ class ControllerCore(Core):
                          goals['id'].astype(int))
 
     def _takes(self, name: str) -> list[str]:
-        """What a controller acts on, by the names of `Input`."""
+        """Return the inputs that a controller accepts, by the names of `Input`."""
         return [what.name.lower() for what in Input if self.stage.classes[name].accepts(what)]
 
     def _refuses(self, what: Input, header: Header) -> bool:
-        """Whether the controller that drives takes no such thing; it is said then, with the stamp
-        of what was refused."""
+        """Return whether the active controller does not accept an input, and report that."""
         refusal = self.stage.refusal(what)
         if refusal:
             self._refused = messages.to_seconds(header.stamp), refusal
@@ -231,7 +263,7 @@ class ControllerCore(Core):
 
 
 class ControllerNode(RigNode, ControllerCore):
-    """`ControllerCore`, with its services and what viewers show."""
+    """Node with a `ControllerCore`, its services and its topics for viewers."""
 
     @classmethod
     def known_parameters(cls) -> dict[str, tuple[type, str]]:
@@ -274,7 +306,7 @@ class ControllerNode(RigNode, ControllerCore):
         self.make_safe()
 
     def make_safe(self) -> None:
-        """Let go: zero once, if anything may flow, and the next command starts from there."""
+        """Command zero once, if anything may flow; the next command starts from zero."""
         if hasattr(self, '_commands'):
             self.act(LET_GO)
             self.let_go()
@@ -311,7 +343,7 @@ class ControllerNode(RigNode, ControllerCore):
         return answer
 
     def _watch(self) -> None:
-        """Poses that stop coming: let go once, then stay silent, and say for how long."""
+        """Command zero once if poses stop arriving, then stay silent and report the duration."""
         self.now_ns = self.get_clock().now().nanoseconds
         self.expire()
 

@@ -1,4 +1,4 @@
-"""Node `model`: speed, offset angle and force of every particle, while it happens."""
+"""Node `model`: speed, offset angle and force of every particle, online."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ModelNodeParameters(ModelParameters):
 
 
 class ModelCore(Core):
-    """`particles` and the field → `model/state`."""
+    """Core between `particles`, the field and `model/state`."""
 
     Parameters: ClassVar[type] = ModelNodeParameters
     frame = 'particles'
@@ -68,11 +68,11 @@ class ModelCore(Core):
         self._state.publish(messages.cloud(estimates, stamp))
 
     def known(self) -> None:
-        """Called after each frame, before its estimates are published."""
+        """Do nothing; called after each frame, before its estimates are published."""
 
 
 class ModelNode(RigNode, ModelCore):
-    """`ModelCore` as a node."""
+    """Node with a `ModelCore`."""
 
     def setup(self) -> None:
         self._came = -math.inf

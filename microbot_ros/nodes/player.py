@@ -1,4 +1,4 @@
-"""Node `player`: a session or recording through topics, with `/clock`."""
+"""Node `player`: a session or recording on its topics, with `/clock`."""
 
 from __future__ import annotations
 
@@ -29,17 +29,20 @@ if TYPE_CHECKING:
     from microbot_ros.session.mcap.recording import Message
 
 _CLOCK_SECONDS = 0.01
+"""Interval of `/clock` [s]. Choice: a tenth of the shortest timer of a node (0.1 s); half doubles
+the messages."""
 _SETTLED_SECONDS = 0.5
-"""Nothing is sent until no listener has been found for so long: who comes late misses the
-beginning."""
+"""Time [s] without a new listener before anything is sent: a late listener misses the beginning.
+Choice: half loses listeners that start slowly, twice delays every playback."""
 _NOBODY_SECONDS = 3.5
-"""After this it is played to nobody. Fast DDS makes itself known every 3 s, unless told otherwise,
-and what it says first of all gets lost at times."""
+"""Time [s] after which it plays without listeners. By default Fast DDS announces itself every 3 s,
+and the first announcement is sometimes lost."""
 _ACKNOWLEDGED_SECONDS = 3.5
-"""At the end, how long listeners may take to confirm that they have it all: Fast DDS asks them
-every 3 s."""
+"""Time [s] at the end for listeners to acknowledge everything: Fast DDS asks them every 3 s by
+default."""
 _LOOK_SECONDS, _FIRST_LOOKS_SECONDS = 1.0, 0.05
-"""How often to look whether a rig is live, while it plays and before."""
+"""Interval [s] of checks for a live rig, while it plays and before. Choice: the first is the
+longest time of playing into a rig, the second the delay of the beginning."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class PlayerParameters:
     """Parameters of the node `player`."""
 
     session: str = setting('', 'Folder or MCAP recording to play.', read_only=True)
-    rate: float = setting(1.0, 'Times real time; 0 is as fast as it goes.', lower=0.0,
+    rate: float = setting(1.0, 'Speed relative to real time; 0: as fast as possible.', lower=0.0,
                           upper=100.0)
     start_s: float = setting(0.0, 'Start of the playback, from the start of the '
                                   'session.', lower=0.0,
@@ -58,18 +61,28 @@ class PlayerParameters:
     topics: list[str] = setting([], 'Topics to play; empty plays all.', read_only=True)
     seek_s: float = setting(0.0, 'Set it to jump to that time.', lower=0.0, upper=1e6)
     into_live_rig: bool = setting(
-        False, 'Play even if nodes are live that do not follow `/clock`: they act on what is '
-               'played.', read_only=True)
+        False, 'Play even if nodes are live that do not follow `/clock`: they act on the recorded '
+               'messages.', read_only=True)
 
 
 class PlayerNode(RigNode):
-    """Publishes the recorded bytes as they are; `~/pause` and `~/step` hold and advance it."""
+    """Node that publishes the recorded bytes unchanged; `~/pause` and `~/step` control it."""
 
     Parameters: ClassVar[type] = PlayerParameters
     _unsent: Message | None
 
     def veto(self, proposed: PlayerParameters) -> str:
-        """Changes of pace and place `proposed` are made here, so that what cannot be is refused.
+        """Change pace and position here, so that an impossible change is refused.
+
+        Parameters
+        ----------
+        proposed : PlayerParameters
+            New parameters.
+
+        Returns
+        -------
+        str
+            Why the change is refused; '' if it is not.
         """
         if not hasattr(self, '_playback'):
             return ''
@@ -120,7 +133,7 @@ class PlayerNode(RigNode):
 
     @property
     def finished(self) -> bool:
-        """Whether all has been played, or given up."""
+        """Whether everything was played, or playing was given up."""
         return self._done or bool(self.fault)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
@@ -130,7 +143,7 @@ class PlayerNode(RigNode):
         return OK, f'{state} {self.settings.session}', {'messages_sent': self._sent}
 
     def _find_kinds(self, wanted: set[str]) -> dict[str, type]:
-        """The topics to play, and their types."""
+        """Return the topics to play and their types."""
         names = {f'/{topic.lstrip("/")}' for topic in wanted}
         unknown = names - set(self._source.topics)
         if unknown:
@@ -154,7 +167,7 @@ class PlayerNode(RigNode):
             self._send_due(now)
 
     def _look(self, now: float) -> None:
-        """Play into no rig that is live, nor into one that comes alive meanwhile."""
+        """Give up if a rig is live, also if it becomes live meanwhile."""
         self._look_due = now + (_LOOK_SECONDS if self._begun else _FIRST_LOOKS_SECONDS)
         live, self._alone = self._rig.look()
         if live:
@@ -163,7 +176,7 @@ class PlayerNode(RigNode):
                           '(into_live_rig)')
 
     def _gather(self, now: float) -> None:
-        """Begin when all listeners are there."""
+        """Begin when all listeners are present."""
         listeners = self._outlets.count
         if listeners != self._listeners:
             self._listeners, self._found = listeners, now
@@ -185,7 +198,7 @@ class PlayerNode(RigNode):
             self._outlets.tell_time(self._playback.clock_ns(now))
 
     def _send(self, message: Message) -> bool:
-        """Publish a message; False where there is no room for it, and it is kept for later."""
+        """Publish a message; return False and keep the message if there is no room for it."""
         self._asked = time.monotonic()
         if not self._outlets.send(message.topic, bytes(message.data)):
             self._unsent = message
@@ -213,7 +226,15 @@ class PlayerNode(RigNode):
 
 
 class PlaybackPublishers:
-    """Publishers, for a `node`, of topics by name, of these `kinds`, and of `/clock`."""
+    """Publishers of topics by name, and of `/clock`.
+
+    Parameters
+    ----------
+    node : RigNode
+        The node.
+    kinds : dict of str to type
+        Type of the messages, by topic.
+    """
 
     def __init__(self, node: RigNode, kinds: dict[str, type]) -> None:
         self._node = node
@@ -224,19 +245,36 @@ class PlaybackPublishers:
 
     @property
     def count(self) -> int:
-        """Listeners that what is sent now will reach."""
+        """Number of listeners that a message sent now will reach."""
         return sum(outlet.get_subscription_count() for outlet in self._all.values())
 
     def missing(self) -> list[str]:
-        """Topics that do not reach all their listeners yet."""
+        """Return the topics that do not reach all their listeners yet.
+
+        Returns
+        -------
+        list of str
+            Names of the topics.
+        """
         return [name for name, outlet in self._all.items()
                 if outlet.get_subscription_count() < self._node.count_subscribers(name)]
 
     def send(self, topic: str, data: bytes) -> bool:
-        """Publish serialised `data` on a `topic`; False where who keeps every message has no room
-        for it yet.
+        """Publish serialised data.
 
-        It then waits 0.1 s for that room, which is how long Fast DDS lets a publisher wait.
+        It waits 0.1 s for room, which is how long Fast DDS lets a publisher wait.
+
+        Parameters
+        ----------
+        topic : str
+            Name of the topic.
+        data : bytes
+            The serialised message.
+
+        Returns
+        -------
+        bool
+            False if a listener that keeps every message has no room for it yet.
         """
         try:
             self._outlets[topic].publish(data)
@@ -245,11 +283,23 @@ class PlaybackPublishers:
         return True
 
     def tell_time(self, t_ns: int) -> None:
-        """Publish the time `t_ns` on `/clock`."""
+        """Publish the time on `/clock`.
+
+        Parameters
+        ----------
+        t_ns : int
+            Time [ns].
+        """
         self._clock.publish(Clock(clock=stamp_at(t_ns)))
 
     def has_all(self) -> bool:
-        """Whether every reliable listener has what was sent."""
+        """Return whether every reliable listener has received everything.
+
+        Returns
+        -------
+        bool
+            Whether all messages are acknowledged.
+        """
         return all(outlet.wait_for_all_acked(Duration()) for outlet in self._outlets.values())
 
     @property
@@ -258,7 +308,10 @@ class PlaybackPublishers:
 
 
 def _message_class(type_name: str) -> type:
-    """`sensor_msgs/msg/Image` as a class; InputError where this machine has no such type."""
+    """Return the class of a type such as `sensor_msgs/msg/Image`.
+
+    InputError if it is not installed.
+    """
     package, _, name = type_name.split('/')
     try:
         found: type = getattr(importlib.import_module(f'{package}.msg'), name)

@@ -1,4 +1,4 @@
-"""Run a node in this process until a signal: `python -m microbot_ros.nodes tracker`."""
+"""Runs one node in this process until a signal: `python -m microbot_ros.nodes tracker`."""
 
 from __future__ import annotations
 
@@ -25,14 +25,27 @@ from microbot_ros.nodes.client.graph import READY, WORD
 
 # The end is noticed between two spins. The coils do not wait for that.
 _SPIN_SECONDS = 0.02
+"""Longest spin of the executor [s]. Choice: the end is noticed between two spins; zeroing the
+coils does not wait for it."""
 SWITCH_S = 0.0005
-"""How long one thread may keep the interpreter from another: the coil driver has two."""
+"""Time [s] for which one thread may keep the interpreter from another. Choice: a tenth of Python's
+default, as the coil driver has two threads; shorter costs switches."""
 
 
 def make(name: str, arguments: Sequence[str] | None = None) -> RigNode:
-    """Make the node of that `name`; rclpy must be initialised.
+    """Make a node; rclpy must be initialised.
 
-    `arguments` are the ROS arguments of this node alone, `--ros-args` and what follows.
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    arguments : sequence of str or None
+        ROS arguments of this node alone, `--ros-args` and what follows.
+
+    Returns
+    -------
+    RigNode
+        The node.
     """
     module = importlib.import_module(f'microbot_ros.nodes.{name}')
     node: RigNode = getattr(module, NODES[name])(name, arguments)
@@ -40,14 +53,24 @@ def make(name: str, arguments: Sequence[str] | None = None) -> RigNode:
 
 
 def run(name: str, arguments: list[str] | None = None) -> int:
-    """Configure and activate the node of that `name`, spin until the `Ending`, leave it safe.
+    """Configure and activate a node, spin until the end, and leave it safe.
 
-    `arguments` are those of ROS, `--ros-args` and what follows.
+    The coils go to zero at once, whatever the executor is doing. The coil driver runs with
+    real-time priority if the system grants it; so do the other nodes of the closed loop, once they
+    are active. A node that has finished, such as a player at the end of its recording, ends the
+    process too.
 
-    The coils go to zero at once, whatever the executor is doing. The coil driver runs in real time
-    where the system grants that; so do the other nodes of the closed loop, once they are active.
-    A node that has finished, as a player at the end of its recording, ends the process too.
-    Returns the exit status: 0 after a signal, 2 where a person must mend an input, 1 otherwise.
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    arguments : list of str or None
+        ROS arguments, `--ros-args` and what follows.
+
+    Returns
+    -------
+    int
+        Exit status: 0 after a signal, 2 if a person must correct an input, 1 otherwise.
     """
     nodes: list[RigNode] = []
     with Ending(lambda: _zero(nodes), find_launcher()) as ending:
@@ -85,13 +108,13 @@ def run(name: str, arguments: list[str] | None = None) -> int:
 
 
 def _refused(error: InputError) -> int:
-    """Say what a person must mend; the exit status."""
+    """Print what a person must correct; return the exit status."""
     print(f'{WORD}{error}', file=sys.stderr)
     return 2
 
 
 def _refuse_elsewhere(node: RigNode, arguments: list[str]) -> None:
-    """InputError where a parameter file means a node of another namespace by the same name."""
+    """Raise InputError if a parameter file means a node of this name in another namespace."""
     from microbot_ros.nodes.configuration import refuse_elsewhere
 
     for word, file in pairwise(arguments):
@@ -100,7 +123,7 @@ def _refuse_elsewhere(node: RigNode, arguments: list[str]) -> None:
 
 
 def _settle(name: str) -> None:
-    """All that is slow has been done: from now on every millisecond counts."""
+    """Prepare for the loop: everything slow is done, and every millisecond counts from now on."""
     # What was imported lives for good; a full collection of it would take 40 ms, in a tick.
     gc.collect()
     gc.freeze()
@@ -110,7 +133,7 @@ def _settle(name: str) -> None:
 
 
 def _told_fault(node: RigNode) -> int:
-    """Say why a node has finished; the exit status."""
+    """Print why a node has finished; return the exit status."""
     if not (node.finished and node.fault):
         return 0
     print(f'{WORD}{node.fault}', file=sys.stderr)
@@ -118,7 +141,7 @@ def _told_fault(node: RigNode) -> int:
 
 
 def _zero(nodes: list[RigNode]) -> None:
-    """Zero the coils, where the node drives any; from any thread."""
+    """Zero the coils if the node drives any; callable from any thread."""
     for node in nodes:
         if type(node).__name__ == NODES['coil_driver']:
             node.make_safe()
@@ -135,7 +158,7 @@ def _activate(node: RigNode) -> None:
 
 
 def main() -> None:
-    """`python -m microbot_ros.nodes NODE [--ros-args ...]`."""
+    """Run `python -m microbot_ros.nodes NODE [--ros-args ...]`."""
     names, arguments = sys.argv[1:2], sys.argv[2:]
     if not names or names[0] not in NODES:
         print(f'usage: python -m microbot_ros.nodes NODE [--ros-args ...]\n'
@@ -145,5 +168,5 @@ def main() -> None:
 
 
 def script() -> None:
-    """The console scripts: `tracker_node --ros-args ...` runs the node it is named after."""
+    """Run the node that the console script is named after, as `tracker_node --ros-args ...`."""
     leave(run(Path(sys.argv[0]).stem.removesuffix('_node'), sys.argv[1:]))

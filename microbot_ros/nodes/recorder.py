@@ -33,7 +33,7 @@ _FRAMES, _OVERLAY = 'camera/image_raw', 'overlay/image_raw'
 _CONDITIONS = (
     'propulsion', 'radius_um', 'viscosity_mPa_s', 'temperature_K', 'reference_field_mT',
     'height_um')
-"""Parameters of the node `model` that a session keeps."""
+"""Parameters of the node `model` that are kept with a session."""
 _LIBRARIES = ('microbot_ros', 'ros-jazzy-rclpy', 'numpy', 'scipy', 'numba',
               'opencv-python-headless')
 
@@ -60,11 +60,11 @@ class RecorderParameters:
 
 
 class RecorderNode(RigNode):
-    """Hands serialised messages to the writer, whose own thread compresses and writes.
+    """Node that hands serialised messages to the writer, whose own thread compresses and writes.
 
-    `~/record` (std_srvs/SetBool) begins and ends a recording of the title and notes that the
-    parameters hold then, or are given meanwhile. Kept inside are the parameters of every node,
-    the files that they name, versions, and how the clocks lie to each other.
+    `~/record` (std_srvs/SetBool) begins and ends a recording. Its title and notes are those of the
+    parameters at the beginning, or set meanwhile. The recording also contains the parameters of
+    every node, the files that they name, versions, and the offsets between the clocks.
     """
 
     Parameters: ClassVar[type] = RecorderParameters
@@ -88,8 +88,22 @@ class RecorderNode(RigNode):
         self.every(0.1, self._look_around)
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
-        """What is noted while a recording runs is kept in it: of `changed`, what `named` gives,
-        and no text is taken away."""
+        """Keep title and notes that are set during a recording.
+
+        No text is removed.
+
+        Parameters
+        ----------
+        changed : mapping of str to object
+            New values of each parameter set by its prefix.
+        named : collection of str
+            Names of the parameters that were set.
+
+        Returns
+        -------
+        str
+            ''; nothing is refused.
+        """
         values: RecorderParameters = changed.get('', self.settings)
         writer: RecordingWriter | None = getattr(self, '_writer', None)
         for name in {'title', 'notes'} & {*named}:
@@ -163,7 +177,7 @@ class RecorderNode(RigNode):
         self._collector.look()
 
     def _clocks(self) -> dict[str, str]:
-        """What to add to the machine's monotonic clock to have the time of ROS and of day."""
+        """Return the offsets from the machine's monotonic clock to ROS time and to UTC."""
         monotonic, ros = time.monotonic_ns(), self.get_clock().now().nanoseconds
         known = {'ros_minus_monotonic_ns': str(ros - monotonic)} if ros else {}
         return {**known, 'utc_minus_monotonic_ns': str(time.time_ns() - monotonic)}
@@ -201,8 +215,18 @@ class RecorderNode(RigNode):
 
 def keep_parameters(writer: RecordingWriter, node: str, values: dict[str, Any],
                     kept: set[str]) -> None:
-    """Keep with `writer` a parameter file of a `node`: its `values`, and files they name not in
-    `kept`.
+    """Attach a parameter file of a node to a recording, and the files that the parameters name.
+
+    Parameters
+    ----------
+    writer : RecordingWriter
+        Writer of the recording.
+    node : str
+        Name of the node.
+    values : dict of str to object
+        Parameters by name.
+    kept : set of str
+        Names of files that are attached already; new ones are added.
     """
     plain = {name: value.tolist() if isinstance(value, array.array) else value
              for name, value in values.items()}
@@ -215,7 +239,7 @@ def keep_parameters(writer: RecordingWriter, node: str, values: dict[str, Any],
 
 
 def _keep_files(writer: RecordingWriter, values: dict[str, Any], kept: set[str]) -> None:
-    """Attach, under the name that the parameter holds, every file that a parameter names."""
+    """Attach every file that a parameter names, under the name that the parameter holds."""
     for name, value in values.items():
         if name.endswith('_file') and value and value not in kept:
             kept.add(value)

@@ -1,4 +1,4 @@
-"""A recording once more through today's nodes, in the order in which they took it in."""
+"""Replay of a recording through the present nodes, in the order in which they received it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from microbot_ros.session.replay.playback import Source, open_source
 
 
 class CoilCore(Core):
-    """`field/command`, `field/rotating` → `coils/command`, without gate and amplifier."""
+    """Core between the topics of the field and `coils/command`, without gate and amplifier."""
 
     Parameters = GateParameters
     frame = 'field/command'
@@ -79,8 +79,16 @@ class CoilCore(Core):
 class Stage:
     """A node that can be replayed.
 
-    `takes` lists its topics, the one that it answers first; `gives` the topics that it publishes,
-    that of its answer first; `core` is what it runs.
+    Attributes
+    ----------
+    node : str
+        Its name.
+    takes : tuple of str
+        Topics that it receives, the one that it answers first.
+    gives : tuple of str
+        Topics that it publishes, that of its answer first.
+    core : type[Core]
+        Class of its core.
     """
 
     node: str
@@ -99,12 +107,22 @@ STAGES = (
           ControllerCore),
     Stage('coil_driver', ('field/command', 'field/rotating'), ('coils/command',), CoilCore),
 )
-"""The nodes whose answers follow from what is recorded, in the order of the graph."""
+"""Nodes whose answers follow from the recording, in the order of the graph."""
 
 
 @dataclass(frozen=True)
 class ReplayPlan:
-    """Which nodes are replayed, in which `namespace`, and the recorded topics `played` to them."""
+    """Plan of a replay.
+
+    Attributes
+    ----------
+    stages : tuple of Stage
+        Nodes that are replayed.
+    played : tuple of str
+        Recorded topics that are played to them.
+    namespace : str
+        Namespace of the topics.
+    """
 
     stages: tuple[Stage, ...]
     played: tuple[str, ...]
@@ -117,16 +135,35 @@ class ReplayPlan:
 
     @property
     def answers(self) -> dict[str, tuple[str, ...]]:
-        """Node → the topics that it publishes, as they are recorded."""
+        """Topics that each node publishes, as they are recorded, by node."""
         return {stage.node: tuple(f'{self.namespace}/{topic}' for topic in stage.gives)
                 for stage in self.stages}
 
 
 def plan_replay(source: Source, path: Path, nodes: Collection[str] = ()) -> ReplayPlan:
-    """Return the plan for a `source` at `path`, with the `nodes` named, or all that were recorded.
+    """Return the plan of a replay.
 
-    A tracker that took more frames than were recorded cannot give the same answers, and is not
-    replayed unless it is named. Raises InputError where there is nothing to replay.
+    A tracker that received more frames than were recorded cannot give the same answers, and is not
+    replayed unless it is named.
+
+    Parameters
+    ----------
+    source : Source
+        Recording.
+    path : Path
+        Its path, for messages.
+    nodes : collection of str
+        Names of the nodes; empty for all that were recorded.
+
+    Returns
+    -------
+    ReplayPlan
+        The plan.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to replay.
     """
     by_role = {name: topic for topic in source.topics for stage in STAGES
                for name in (*stage.takes, *stage.gives) if is_topic(topic, name)}
@@ -157,11 +194,31 @@ def plan_replay(source: Source, path: Path, nodes: Collection[str] = ()) -> Repl
 
 def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Path,
                         policy: Path | None = None) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each of the `nodes`, as kept inside the recording.
+    """Return the parameters of nodes, as kept in a recording.
 
-    Files that parameters name are put into `folder` where they were kept too, and the names
-    changed. `policy` takes the place of the network that the recording names, which is not
-    executed; InputError where a policy drove and None is given.
+    Files that parameters name are written to `folder` if the recording contains them, and the
+    names are changed.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+    nodes : collection of str
+        Names of the nodes.
+    folder : Path
+        Folder for files.
+    policy : Path or None
+        Network in place of the recorded one, which is not executed; None for none.
+
+    Returns
+    -------
+    dict[str, dict of str to object]
+        Parameters by node and name.
+
+    Raises
+    ------
+    InputError
+        If a policy drove and `policy` is None.
     """
     kept = recording.attachments()
     found: dict[str, dict[str, Any]] = {}
@@ -179,8 +236,23 @@ def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Pa
 
 
 def kept_file(kept: Mapping[str, bytes], folder: Path, name: str, value: Any) -> Any:
-    """Return the `value` of a parameter `name`; where it names a file that was `kept`, a copy in
-    `folder`.
+    """Return the value of a parameter, with a file that the recording contains copied to a folder.
+
+    Parameters
+    ----------
+    kept : mapping of str to bytes
+        Attachments of the recording by name.
+    folder : Path
+        Folder for the copy.
+    name : str
+        Name of the parameter.
+    value : object
+        Its value.
+
+    Returns
+    -------
+    object
+        Path of the copy, or the value if it names no attachment.
     """
     if not name.endswith('_file') or value not in kept:
         return value
@@ -190,7 +262,7 @@ def kept_file(kept: Mapping[str, bytes], folder: Path, name: str, value: Any) ->
 
 
 class _Outlet:
-    """What a core takes for a publisher."""
+    """Stand-in for a publisher in a replay."""
 
     def __init__(self, publish: Callable[[Any], None]) -> None:
         self.publish = publish
@@ -200,9 +272,16 @@ class _Outlet:
 
 
 class Replayed(Core):
-    """Mixed into a core: the host of a `stage` in a replay, with `parameters` by full names.
+    """Host of a core in a replay, mixed into the core.
 
-    `said(topic, message)` is called with what the core publishes.
+    Parameters
+    ----------
+    stage : Stage
+        The node.
+    parameters : mapping of str to object
+        Its parameters by full names.
+    said : callable
+        Function that is called with topic and message of each publication.
     """
 
     def __init__(self, stage: Stage, parameters: Mapping[str, Any],
@@ -213,7 +292,7 @@ class Replayed(Core):
         self._calls: Iterator[str] = iter('')
         self.inlets: dict[str, tuple[type, Callable[[Any], None]]] = {}
         self.withheld = ''
-        """Why a parameter was not set as it was when it was recorded; '' where all were."""
+        """Why a parameter was not set as in the recording; '' if all were."""
         self._sets = {'': self._set(self.Parameters)}
         if isinstance(self, ControllerCore):
             def values(name: str, kind: type) -> Any:
@@ -224,7 +303,7 @@ class Replayed(Core):
         self.connect()
 
     def _set(self, kind: type, prefix: str = '') -> Any:
-        """Return an instance of a `kind` of parameters; InputError for a value out of range."""
+        """Return parameters of a class; raise InputError for a value out of range."""
         try:
             return kind(**{name: settings.convert(kind, name, self._values.get(
                 prefix + name, default)) for name, default in settings.defaults(kind).items()})
@@ -244,7 +323,15 @@ class Replayed(Core):
         self.inlets[topic] = kind, callback
 
     def be_given(self, entry: Entry, data: bytes | None = None) -> None:
-        """Take an `entry` of the log in, where it is a message with its `data`."""
+        """Process an entry of the log.
+
+        Parameters
+        ----------
+        entry : Entry
+            The entry.
+        data : bytes or None
+            The serialised message, if the entry is one.
+        """
         self.now_ns, self._calls = entry.at_ns, iter(entry.calls)
         if entry.name == PARAMETERS:
             self._change(entry.what)
@@ -271,34 +358,34 @@ class Replayed(Core):
 
 
 class Player:
-    """One node in a replay: its core, and the log of what it took in.
+    """One node in a replay: its core, and the log of its inputs.
 
     Parameters
     ----------
-    stage
+    stage : Stage
         The node.
-    namespace
+    namespace : str
         Namespace of its recorded topics.
-    parameters
+    parameters : mapping of str to object
         Its parameters by full names.
-    source
+    source : Source
         Recording that is replayed.
-    writer
+    writer : RecordingWriter
         Recording that its answers are written to.
-    kept_file
-        Returns, for the name and the value of a parameter, the value to use in the replay.
+    kept_file : callable
+        Function that returns, for name and value of a parameter, the value to use in the replay.
     """
 
     def __init__(self, stage: Stage, namespace: str, parameters: Mapping[str, Any],
                  source: Source, writer: RecordingWriter,
                  kept_file: Callable[[str, Any], Any]) -> None:
         self.doubt: Doubt | None = None
-        """From which frame on the answers cannot be judged; None where all can."""
+        """The frame from which the answers cannot be judged; None if all can."""
         self.played: set[int] = set()
-        """Stamps [ns] of the frames that the core took."""
+        """Stamps [ns] of the frames that the core processed."""
         log = f'{namespace}/{LOG}'
         self.ordered = stage.node == 'coil_driver' or log in source.topics
-        """Whether the order in which the node took things in is recorded."""
+        """Whether the order of the node's inputs is recorded."""
         self._stage, self._namespace = stage, namespace
         self._writer, self._kept_file = writer, kept_file
         core = type(f'Replayed{stage.core.__name__}', (Replayed, stage.core), {})
@@ -315,14 +402,20 @@ class Player:
         self._now_ns, self._reason = 0, ''
 
     def _commands(self, source: Source) -> Iterator[Entry]:
-        """Return the commands that a coil driver took; it refuses late ones, and keeps no log."""
+        """Yield the commands that a coil driver drove; it refuses late ones, and keeps no log."""
         answer = f'{self._namespace}/{self._stage.gives[0]}'
         topic = answer if answer in source.topics else f'{self._namespace}/field/command'
         for message in source.messages([topic]):
             yield Entry('field/command', header_stamp_ns(message.data), message.t_ns)
 
     def run(self, end_ns: int) -> None:
-        """Play the log up to a time `end_ns` [ns]."""
+        """Play the log.
+
+        Parameters
+        ----------
+        end_ns : int
+            Time [ns] at which to end.
+        """
         for entry in self._log:
             if entry.at_ns > end_ns:
                 break
@@ -365,11 +458,28 @@ class Player:
 
 
 class Replay:
-    """A recorded `session` through today's nodes, without a graph, a clock or a deadline.
+    """Replay of a recorded session through the present nodes, without graph, clock or deadline.
 
-    By a `plan`, with `parameters` of each node, up to `end_s` [s] or the end if that is 0. Each
-    node is given what it took when it was recorded. The inputs and the answers are written to
-    `out`, a recording.
+    Each node is given the inputs that it received when they were recorded. Inputs and answers are
+    written to a new recording.
+
+    Parameters
+    ----------
+    session : Path
+        Recording.
+    out : Path
+        The new recording.
+    plan : ReplayPlan
+        Nodes and topics.
+    parameters : Mapping[str, mapping of str to object]
+        Parameters of each node by full names.
+    end_s : float
+        Time [s] at which to end; 0 for the end of the recording.
+
+    Raises
+    ------
+    InputError
+        If `end_s` is negative or not finite.
     """
 
     def __init__(self, session: Path, out: Path, plan: ReplayPlan,
@@ -380,10 +490,16 @@ class Replay:
         self._session, self._out, self._end_s = session, out, end_s
         self._parameters = parameters
         self.players: dict[str, Player] = {}
-        """The node's name → what played it."""
+        """Player of each node, by its name."""
 
     def run(self) -> None:
-        """Play all of it. Raises InputError where a node refuses its parameters."""
+        """Play everything.
+
+        Raises
+        ------
+        InputError
+            If a node refuses its parameters.
+        """
         with (open_source(self._session) as source, tempfile.TemporaryDirectory() as folder,
               RecordingWriter(self._out) as writer):
             kept = source.attachments() if isinstance(source, Recording) else {}

@@ -56,7 +56,7 @@ class TrackerNodeParameters(TrackerParameters):
 
 
 class TrackerCore(Core):
-    """`camera/image_raw` and the field → `particles`, `particles/poses`."""
+    """Core between `camera/image_raw`, the field and `particles`, `particles/poses`."""
 
     Parameters: ClassVar[type] = TrackerNodeParameters
     frame = 'camera/image_raw'
@@ -76,7 +76,15 @@ class TrackerCore(Core):
         self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
 
     def seen(self, image: np.ndarray, stamp: Time) -> None:
-        """Called after each frame: an `image` (H, W) of a `stamp`, its particles published."""
+        """Do nothing; called after the particles of each frame are published.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The frame.
+        stamp : Time
+            Stamp of the message.
+        """
 
     def _on_image(self, message: Image) -> None:
         image = messages.gray(message, self.stage.colour)
@@ -94,7 +102,22 @@ class TrackerCore(Core):
         self.seen(image, stamp)
 
     def is_due(self, what: str, rate: float, t: float) -> bool:
-        """Return whether `what`, published at a `rate` [Hz], is due at `t` [s]."""
+        """Return whether a periodic publication is due.
+
+        Parameters
+        ----------
+        what : str
+            Its name.
+        rate : float
+            Its rate [Hz]; 0 for never.
+        t : float
+            Time of the frame [s].
+
+        Returns
+        -------
+        bool
+            Whether it is due.
+        """
         if rate <= 0 or (t < self._due[what] and self._due[what] - t < 10.0):
             return False
         self._due[what] = t + 1 / rate
@@ -108,9 +131,12 @@ class TrackerCore(Core):
 
 
 class TrackerNode(RigNode, TrackerCore):
-    """`TrackerCore`, with `overlay/image_raw`, the names of the kinds that were taught on
-    `tracker/kinds`, and where the picture lies on `/tf_static`. Examples come on `tracker/like`
-    and `tracker/unlike`; `tracker/taught` says what was learned from each."""
+    """Node with a `TrackerCore`.
+
+    It also publishes `overlay/image_raw`, the names of the taught kinds on `tracker/kinds`, and
+    the place of the picture on `/tf_static`. It receives examples on `tracker/like` and
+    `tracker/unlike`; `tracker/taught` reports the result of each.
+    """
 
     def setup(self) -> None:
         self._came = -float('inf')
@@ -153,7 +179,7 @@ class TrackerNode(RigNode, TrackerCore):
             self._draw(image, stamp)
 
     def _learn(self, example: str, message: PointStamped) -> None:
-        """Learn from an example and publish the outcome on `tracker/taught`."""
+        """Learn from an example and publish the result on `tracker/taught`."""
         header, point = message.header, message.point
         try:
             if not math.isfinite(point.x + point.y):
@@ -178,7 +204,7 @@ class TrackerNode(RigNode, TrackerCore):
                     ('x', point.x), ('y', point.y))]))
 
     def _on_forget(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        """Forget the kind that `example_kind` names, or all kinds."""
+        """Delete the kind that `example_kind` names, or all kinds."""
         try:
             answer.message = self.stage.forget(self.settings.example_kind or None)
             answer.success = True

@@ -1,7 +1,7 @@
-"""Node `virtual_rig`: particles, fluid and microscope where there is no rig.
+"""Node `virtual_rig`: particles, fluid and microscope without a rig.
 
-It learns the field from one place only: the log of the emulated amplifier, which holds the
-currents that the bytes on the serial line asked for.
+It receives the field from one place only: the log of the emulated amplifier, which holds the
+currents that the bytes on the serial line requested.
 """
 
 from __future__ import annotations
@@ -40,7 +40,10 @@ from microbot_ros.virtual_rig.rolling import Rolling
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
 _REFERENCE_FIELD = 5e-3
+"""Field [T] at which speeds and alignment are given: that of the paper, 5 mT."""
 _LONGEST_DELAY = 1.0
+"""Longest delay [s] of the field that a hidden effect may have. Choice: several times that of any
+rig; more keeps more changes in memory."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ class VirtualRigParameters:
 
 
 class VirtualRigNode(RigNode):
-    """Publishes what a camera does, and, for judging the others, `~/truth`."""
+    """Node that publishes the topics of a camera and, to evaluate the other nodes, `~/truth`."""
 
     Parameters: ClassVar[type] = VirtualRigParameters
 
@@ -175,20 +178,20 @@ class VirtualRigNode(RigNode):
                      values.height_um * 1e-6 or None)
 
     def _moment(self) -> float:
-        """The moment [A·m²] that aligns as fast as asked."""
+        """Return the moment [A·m²] that gives the alignment time of the parameters."""
         values = self.settings
         drag = rotational_drag(self._fluid(), units.to_si('radius_um', values.radius_um))
         return float(drag / (values.alignment_ms * 1e-3 * _REFERENCE_FIELD))
 
     def _make_rolling(self) -> Rolling:
-        """Rollers of the same moment, unless said, which turn about an axis along the floor."""
+        """Make rollers that rotate about an axis along the floor, of equal moment unless given."""
         if step_outs := self.settings.step_outs_hz:
             return Rolling(math.tau * np.array(step_outs) / _REFERENCE_FIELD)
         radius = units.to_si('radius_um', self.settings.radius_um)
         return Rolling(float(self._moment() / rolling_drag(self._fluid(), radius)))
 
     def _model(self) -> Model:
-        """What the particles obey besides: of `model_file`, the first-order model without one."""
+        """Return the model that the particles obey, by default that of first order."""
         file = self.settings.model_file
         return read_model(file)[0] if file else Model(_REFERENCE_FIELD)
 
@@ -217,7 +220,7 @@ class VirtualRigNode(RigNode):
         self._longest = max(self._longest, spent)
 
     def _advance(self, now: float) -> None:
-        """Let the world live until now under the currents that flowed meanwhile."""
+        """Advance the world to `now` under the currents that flowed meanwhile."""
         changes = self._changes
         changes += [(t - self._begin, currents) for t, currents in self._log.read()]
         # A hidden delay looks back; the last change before that still holds.
@@ -237,7 +240,7 @@ class VirtualRigNode(RigNode):
 
 
 class _AmplifierLog:
-    """Follows the amplifier's log as it grows."""
+    """Reader of the amplifier's log while it grows."""
 
     def __init__(self, path: str, node: str) -> None:
         if not path:
@@ -250,7 +253,7 @@ class _AmplifierLog:
         self._rest = ''
 
     def read(self) -> Iterator[tuple[float, np.ndarray]]:
-        """New changes: time [s, monotonic] and currents (N,) [A]."""
+        """Yield new changes: time [s, monotonic] and currents (N,) [A]."""
         *lines, self._rest = (self._rest + self._stream.read()).split('\n')
         for line in lines:
             entry = json.loads(line)
@@ -261,7 +264,7 @@ class _AmplifierLog:
 
 
 def _spread(count: int, half_extent: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
-    """Places (count, 2) [m] on a jittered grid: apart from each other and from the walls."""
+    """Return places (count, 2) [m] on a jittered grid, separate from each other and the walls."""
     columns = math.ceil(math.sqrt(count * half_extent[0] / half_extent[1]))
     rows = math.ceil(count / columns)
     cells = [(c, r) for r in range(rows) for c in range(columns)][:count]
@@ -272,7 +275,7 @@ def _spread(count: int, half_extent: tuple[float, float], rng: np.random.Generat
 
 
 def _named(pairs: list[str], node: str) -> dict[str, float]:
-    """`['wx_um_s=0.4']` as a dictionary; InputError for anything else."""
+    """Return `['wx_um_s=0.4']` as a dictionary; InputError for anything else."""
     try:
         return {name: float(value) for name, value in (pair.split('=') for pair in pairs)}
     except ValueError:

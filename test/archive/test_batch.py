@@ -296,7 +296,7 @@ def test_the_command(laboratory, tmp_path, capsys):
     assert '6 sessions, 12 particles' in said.out
     assert 'bad.csv' in said.err
     html = (out / 'archive.html').read_text()
-    assert 'laboratory' not in html.split('What could not be read')[0]
+    assert 'laboratory' not in html.split('Files that could not be read')[0]
     assert html.count('<img') >= 1
     for words, problem in (
             ((laboratory, '--out', out, '--workers', '2', '--scheduler', 'x'), 'either'),

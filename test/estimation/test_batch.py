@@ -72,7 +72,7 @@ def test_a_floor_is_named_where_nobody_stated_it(height):
     session, speed = near_a_floor(5, height, None)
     found = fit(session)
     said, = (text for text in found.warnings if 'Stokes' in text)
-    assert 'far from walls: most likely the particles move near a floor' in said
+    assert 'far from walls: the particles probably move near a floor' in said
     guessed = float(re.search(r'A centre ([0-9.]+) µm above it', said)[1]) * 1e-6
     # A spread of D that is known moves the height, by as much as it moves the drag.
     spread = 4 * found.noise.diffusion_std / found.noise.diffusion * exact

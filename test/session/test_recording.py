@@ -159,7 +159,7 @@ def test_a_recording_in_progress_reads_as_far_as_it_goes_and_is_not_repaired(
         assert written.wait(60)
         with open_recording(tmp_path / 'run') as recording:
             assert [message.t_ns for message in recording.messages()] == [7]
-            with pytest.raises(InputError, match='nobody is writing'):
+            with pytest.raises(InputError, match='no program is writing'):
                 recording.repair()
         writer.write('/field/command', VECTOR, 8, vector(8, 1, 2))
     with open_recording(tmp_path / 'run') as recording:

@@ -41,7 +41,7 @@ export function macrosPanel(link) {
     say(steps ? `${steps.length} steps kept.` : 'All commands from now on are kept, with their pauses.');
     steps = steps ? null : [];
     last = performance.now();
-    setText(byId('macro-keep'), steps ? 'Save macro' : 'Keep what I do');
+    setText(byId('macro-keep'), steps ? 'Save macro' : 'Record commands');
   };
   link.on('asked', ({ verb, fields }) => {
     if (verb === 'stop' || verb === 'disarm') end();

@@ -42,7 +42,7 @@ def _named(found: Discovery) -> str:
                 f'{number(gap.after * 1e6)} µm beyond the noise, in place of '
                 f'{number(gap.before * 1e6)} µm.')
     else:
-        then = 'Use model.yaml, which contains what was found, for simulation and control.'
+        then = 'Use model.yaml, which contains the effects found, for simulation and control.'
     return f'The simple model of speed, angle and diffusion lacks {count}: {what}. {then}'
 
 

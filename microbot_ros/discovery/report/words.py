@@ -43,7 +43,7 @@ def number(x: float) -> str:
 
 
 def _power(exponent: int) -> str:
-    return f'·10{exponent}'.replace(str(exponent), str(exponent).translate(_RAISED))
+    return f'·10{str(exponent).translate(_RAISED)}'
 
 
 def interval(name: str, estimate: Estimate) -> str:

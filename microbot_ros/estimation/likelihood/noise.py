@@ -135,9 +135,9 @@ def implausible_diffusion(conditions: Conditions, noise: Noise) -> list[str]:
     factor = expected / noise.diffusion
     height = None if fluid.height else height_of_drag(factor, radius)
     if height is not None:
-        return [f'{found}: most likely the particles move near a floor. A centre '
-                f'{height * 1e6:.3g} µm above it would explain D; drag, and with it every force, '
-                f'is then {factor:.2g} times as large. State height_um where it is known']
+        return [f'{found}: the particles probably move near a floor. A centre {height * 1e6:.3g} '
+                'µm above it would explain D; drag, and with it every force, is then '
+                f'{factor:.2g} times as large. State height_um if you know it']
     what = f'{"height, " if fluid.height else ""}radius or viscosity are wrong'
     if factor > 1:
         return [f'{found}: {what}']

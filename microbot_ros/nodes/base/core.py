@@ -1,4 +1,4 @@
-"""The part of a node that needs no graph: what it answers to what it takes in."""
+"""Part of a node that needs no graph: its answers to its inputs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from rclpy.qos import QoSProfile
 from microbot_ros.nodes.base.messages import stamp_at
 
 # Small messages: deep enough for a replay at many times real time.
-RELIABLE = QoSProfile(depth=200)
+RELIABLE = QoSProfile(depth=200)  # choice: deep enough for a replay at many times real time
 
 
 class Core:
-    """Base of what runs live in a node (`RigNode`) and from a recording in a replay.
+    """Base of the code that runs live in a node (`RigNode`) and from a recording in a replay.
 
     `connect` makes the stage, its publishers and its subscriptions, through the methods of the
     host. The same messages in the same order, at the same times `now_ns`, give the same answers.
@@ -24,11 +24,12 @@ class Core:
 
     Parameters: ClassVar[type]
     frame: ClassVar[str] = ''
-    """Topic that the core answers; what a node with one takes in is written to `loop/log`."""
+    """Topic that the core answers; the inputs of a node with such a topic are written to
+    `loop/log`."""
     unrepeatable: str = ''
-    """Why the same inputs need not give the same answers; '' where they do."""
+    """Why the same inputs need not give the same answers; '' if they do."""
     now_ns: int = 0
-    """Time [ns] of the node's clock when it took the message that it works on."""
+    """Time [ns] of the node's clock when it received the present message; 0 before the first."""
 
     @property
     def now_s(self) -> float:
@@ -36,21 +37,32 @@ class Core:
         return self.now_ns * 1e-9
 
     def now_stamp(self) -> Time:
-        """Return `now_ns` as a message."""
+        """Return `now_ns` as a message.
+
+        Returns
+        -------
+        Time
+            Stamp.
+        """
         return stamp_at(self.now_ns)
 
     def connect(self) -> None:
         """Make the stage, the publishers and the subscriptions."""
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
-        """Hand changed parameters to what runs with them: all of them, or none and the reason.
+        """Hand changed parameters to the code that uses them: all of them, or none.
 
         Parameters
         ----------
-        changed
+        changed : mapping of str to object
             New values of each parameter set by its prefix, '' for `Parameters`.
-        named
+        named : collection of str
             Names of the parameters that were set, whether their values changed or not.
+
+        Returns
+        -------
+        str
+            Why the change is refused; '' if it is not.
         """
         return ''
 
@@ -62,20 +74,60 @@ class Core:
         raise NotImplementedError
 
     def publisher(self, kind: type, topic: str, qos: QoSProfile = RELIABLE) -> Publisher:
-        """Return a publisher of messages of a `kind` on a `topic`, by `qos`."""
+        """Make a publisher.
+
+        Parameters
+        ----------
+        kind : type
+            Type of the messages.
+        topic : str
+            Name of the topic.
+        qos : QoSProfile
+            Quality of service.
+
+        Returns
+        -------
+        Publisher
+            The publisher.
+        """
         raise NotImplementedError
 
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None],
                   qos: QoSProfile = RELIABLE, raw: bool = False,
                   on_matched: Callable[[Any], None] | None = None) -> None:
-        """Call `callback` with each message of a `kind` on a `topic`, `raw` as bytes, by `qos`.
+        """Subscribe to a topic.
 
-        `on_matched` is called when a publisher comes or goes.
+        Parameters
+        ----------
+        kind : type
+            Type of the messages.
+        topic : str
+            Name of the topic.
+        callback : callable
+            Function that is called with each message.
+        qos : QoSProfile
+            Quality of service.
+        raw : bool
+            Whether messages are passed on as bytes.
+        on_matched : callable or None
+            Function that is called when a publisher comes or goes.
         """
         raise NotImplementedError
 
     def complain(self, sentence: str) -> None:
-        """Report a problem with an input, in one `sentence`."""
+        """Report a problem with an input.
+
+        Parameters
+        ----------
+        sentence : str
+            Text for people.
+        """
 
     def act(self, name: str) -> None:
-        """Note that a timer of this `name` acts now."""
+        """Record that a timer acts now.
+
+        Parameters
+        ----------
+        name : str
+            Name of the timer.
+        """

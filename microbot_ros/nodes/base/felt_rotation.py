@@ -1,4 +1,4 @@
-"""What rollers feel of a commanded rotation, from the topics."""
+"""Rotation that rollers feel, from the topics of commands and fields."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from microbot_ros.nodes.base.core import Core
 
 def follow_rotation(node: Core, tell: Callable[[float, np.ndarray], None],
                     read_back: bool = True) -> None:
-    """Let a `node` follow the rotation that rollers feel.
+    """Make a node follow the rotation that rollers feel.
 
     Parameters
     ----------
-    node
+    node : Core
         Node that subscribes to `field/rotating` and to `field/command`, which ends a rotation.
-    tell
-        Called with each change: time [s], angular velocity (2,) [rad/s].
-    read_back
+    tell : callable
+        Function that is called with each change: time [s], angular velocity (2,) [rad/s].
+    read_back : bool
         Whether rollers stand still while `field/applied` shows no field.
     """
     felt = FeltRotation()

@@ -1,4 +1,4 @@
-"""Where the picture lies in the workspace, for RViz: `workspace` → `camera` on /tf_static."""
+"""Place of the picture in the workspace, for RViz: `workspace` → `camera` on /tf_static."""
 
 from __future__ import annotations
 
@@ -18,14 +18,28 @@ except ImportError:  # an installation of ROS has it, the wheels on PyPI don't
 
 
 def camera_transform(rotation: float, mirrored: bool, stamp: Time) -> TransformStamped:
-    """Of points in the camera's frame to those in the workspace, with a `stamp`.
+    """Return the transform of points in the camera's frame to the workspace.
 
-    The camera's frame is REP 103's optical one: x right and y down in the picture, z the way it
-    looks; its origin is the centre of the picture, in focus. `rotation` [rad] and `mirrored` are
-    `ImageToWorkspace`'s: x of the picture lies at that angle, y at −90° from it; or at +90° where
-    the picture is mirrored, which is how a camera from below sees the workspace. So from above
-    the frames differ by half a turn about the line between their x axes, from below by the
+    The camera's frame is the optical one of REP 103: x right and y down in the picture, z in
+    viewing direction; its origin is the centre of the picture, in focus. `rotation` and `mirrored`
+    are those of `ImageToWorkspace`: x of the picture lies at that angle, y at −90° from it, or at
+    +90° if the picture is mirrored, which is how a camera from below sees the workspace. So from
+    above the frames differ by half a turn about the line between their x axes, from below by the
     rotation about z.
+
+    Parameters
+    ----------
+    rotation : float
+        Angle of the picture [rad].
+    mirrored : bool
+        Whether the picture is mirrored.
+    stamp : Time
+        Stamp of the message.
+
+    Returns
+    -------
+    TransformStamped
+        The transform.
     """
     result = TransformStamped(header=Header(stamp=stamp, frame_id=WORKSPACE),
                               child_frame_id=CAMERA)
@@ -36,8 +50,17 @@ def camera_transform(rotation: float, mirrored: bool, stamp: Time) -> TransformS
 
 
 def publish_camera_transform(node: RigNode, rotation: float, mirrored: bool) -> None:
-    """Say on /tf_static, latched, by a `node`, what `camera_transform` makes of `rotation` [rad]
-    and `mirrored`; nothing where there is no tf2."""
+    """Publish `camera_transform` on /tf_static, latched; do nothing without tf2.
+
+    Parameters
+    ----------
+    node : RigNode
+        The node.
+    rotation : float
+        Angle of the picture [rad].
+    mirrored : bool
+        Whether the picture is mirrored.
+    """
     if TFMessage is None:
         node.get_logger().info('no tf2_msgs here (PyPI has none): nothing on /tf_static')
         return

@@ -1,4 +1,4 @@
-"""What every node shares: guarded transitions and callbacks, parameters, diagnostics."""
+"""Base of all nodes: guarded transitions and callbacks, parameters, diagnostics."""
 
 from __future__ import annotations
 
@@ -27,39 +27,47 @@ from microbot_ros.nodes.base.parameters import ParameterSet, refuse_unknown
 # For what is to be acted on: a node that was held up takes the newest, not a queue of old ones.
 NEWEST = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+"""Keep the last message for later subscribers; depth 1 by definition."""
 # A best-effort subscriber matches every publisher of images, a reliable one only some.
 IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-IMAGES_OUT = QoSProfile(depth=5)
+IMAGES_OUT = QoSProfile(depth=5)  # choice: some frames, as memory is more scarce than history
 
 _LINE = 400
-"""Characters of a status message: one line of a terminal."""
+"""Longest status message [characters]. Choice: about one line of a wide terminal; half would hide
+sentences."""
 
 SILENCE_SECONDS = 1.0
-"""A node that hears nothing for longer says so."""
+"""Time [s] without an input after which a node reports it. Choice: many frames at any rate; half
+would report a slow camera."""
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 class RigNode(LifecycleNode, Core):
-    """A lifecycle node that cannot fail silently.
+    """Lifecycle node that cannot fail silently.
 
-    Subclasses name their parameters (`Parameters`) and fill in `setup` (create publishers,
-    subscriptions, timers, open devices), `start`, `stop`, `teardown`, `make_safe` and `health`.
-    An exception in a transition or callback is logged with its traceback and shown on
-    `/diagnostics`, and `make_safe` runs at once; a bad message is reported and dropped.
-    Subscriptions and timers act only while the node is active. A transition (`on_…`) is given the
-    `state` that it leaves. `arguments` are the ROS arguments of this node alone, `--ros-args` and
-    what follows.
+    Subclasses name their parameters (`Parameters`) and implement `setup` (create publishers,
+    subscriptions, timers, open devices), `start`, `stop`, `teardown`, `make_safe` and `health`. An
+    exception in a transition or callback is logged with its traceback and shown on `/diagnostics`,
+    and `make_safe` runs at once; a bad message is reported and dropped. Subscriptions and timers
+    act only while the node is active.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    arguments : sequence of str or None
+        ROS arguments of this node alone, `--ros-args` and what follows.
     """
 
     def __init__(self, name: str, arguments: Sequence[str] | None = None) -> None:
         super().__init__(name, cli_args=arguments)
         self.active = False
         self.starting = False
-        """Whether its process starts it, and says why where that fails."""
+        """Whether its process starts it, and reports a failure."""
         self.log = Log(self)
         self.fault = ''
-        """Why setup failed or the node is not doing its work; '' when all is well."""
+        """Why setup failed or the node does not work; '' for no fault."""
         self._complaint = ''
         self._complaint_until = 0.0
         self._created: list[tuple[Callable[[Any], Any], Any]] = []
@@ -73,7 +81,13 @@ class RigNode(LifecycleNode, Core):
 
     @classmethod
     def known_parameters(cls) -> dict[str, tuple[type, str]]:
-        """Full parameter name → the dataclass and the field that describe it."""
+        """Return all parameters of the node.
+
+        Returns
+        -------
+        dict[str, tuple[type, str]]
+            The dataclass and the field that describe a parameter, by its full name.
+        """
         return {name: (cls.Parameters, name) for name in defaults(cls.Parameters)}
 
     # What a node fills in -------------------------------------------------------------------
@@ -82,27 +96,49 @@ class RigNode(LifecycleNode, Core):
         """Declare parameters beyond `Parameters`."""
 
     def veto(self, proposed: Any) -> str:
-        """Why the values `proposed` can't be taken, or ''. Changes nothing: others may refuse yet.
+        """Return why parameters cannot be accepted; changes nothing, as others may still refuse.
+
+        Parameters
+        ----------
+        proposed : object
+            New parameters.
+
+        Returns
+        -------
+        str
+            Reason; '' to accept.
         """
         return ''
 
     def setup(self) -> None:
-        """Configure: create what the node needs. InputError where a person must act."""
+        """Configure: create everything that the node needs.
+
+        Raises
+        ------
+        InputError
+            If a person must act.
+        """
 
     def start(self) -> None:
         """Activate."""
 
     def stop(self) -> None:
-        """Deactivate: end in the safe state. Also called from states that were never active."""
+        """Deactivate and end in the safe state; also called from states that were never active."""
 
     def teardown(self) -> None:
-        """Clean up what `setup` made, beyond publishers, subscriptions and timers."""
+        """Release what `setup` made, beyond publishers, subscriptions and timers."""
 
     def make_safe(self) -> None:
-        """Put what the node drives into its safe state; must not raise."""
+        """Put the devices of the node into their safe state; must not raise."""
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Level, one sentence, and values with units in their names, for `/diagnostics`."""
+        """Return the health of the node for `/diagnostics`.
+
+        Returns
+        -------
+        tuple[bytes, str, dict of str to object]
+            Level, one sentence, and values with units in their names.
+        """
         return OK, 'running', {}
 
     @property
@@ -114,11 +150,26 @@ class RigNode(LifecycleNode, Core):
 
     @property
     def settings(self) -> Any:
-        """The present parameters, an immutable instance of `Parameters`."""
+        """Present parameters, an immutable instance of `Parameters`."""
         return self._parameters_of_node.values
 
     def publisher(self, kind: type, topic: str, qos: QoSProfile = RELIABLE) -> Publisher:
-        """A publisher on a `topic` for messages of a `kind`, by `qos`; goes with the cleanup."""
+        """Make a publisher that the next cleanup destroys.
+
+        Parameters
+        ----------
+        kind : type
+            Type of the messages.
+        topic : str
+            Name of the topic.
+        qos : QoSProfile
+            Quality of service.
+
+        Returns
+        -------
+        Publisher
+            The publisher.
+        """
         made = self.create_publisher(kind, topic, qos)
         self._created.append((self.destroy_publisher, made))
         return made
@@ -126,10 +177,22 @@ class RigNode(LifecycleNode, Core):
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None],
                   qos: QoSProfile = RELIABLE, raw: bool = False,
                   on_matched: Callable[[Any], None] | None = None) -> None:
-        """A guarded subscription to a `topic`, of messages of a `kind`, `raw` as bytes, by `qos`.
+        """Make a guarded subscription that the next cleanup destroys.
 
-        It goes with the next cleanup. `on_matched` is called when a publisher comes or goes,
-        before anything that it sends.
+        Parameters
+        ----------
+        kind : type
+            Type of the messages.
+        topic : str
+            Name of the topic.
+        callback : callable
+            Function that is called with each message.
+        qos : QoSProfile
+            Quality of service.
+        raw : bool
+            Whether messages are passed on as bytes.
+        on_matched : callable or None
+            Function that is called when a publisher comes or goes, before any message of it.
         """
         if self.frame and not raw:
             callback = self.log.keeping(topic, callback)
@@ -140,25 +203,53 @@ class RigNode(LifecycleNode, Core):
         self._created.append((self.destroy_subscription, made))
 
     def every(self, seconds: float, callback: Callable[[], None], steady: bool = True) -> None:
-        """A guarded timer, every `seconds`; on the monotonic clock if `steady`, else simulated
-        time.
+        """Make a guarded timer that the next cleanup destroys.
+
+        Parameters
+        ----------
+        seconds : float
+            Period [s].
+        callback : callable
+            Function that is called.
+        steady : bool
+            Whether it uses the monotonic clock; otherwise simulated time.
         """
         clock = self._steady if steady else self.get_clock()
         made = self.create_timer(seconds, self._guarded(callback), clock=clock)
         self._created.append((self.destroy_timer, made))
 
     def service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
-        """A service of a `kind` that goes with the next cleanup."""
+        """Make a service that the next cleanup destroys.
+
+        Parameters
+        ----------
+        kind : type
+            Type of the service.
+        name : str
+            Name of the service.
+        callback : callable
+            Function that is called with request and response.
+        """
         made = self.create_service(kind, name, callback)
         self._created.append((self.destroy_service, made))
 
     def service_aside(self, kind: type, name: str, callback: Callable[..., Any],
                       at_once: Callable[[Any, Any], Any] | None = None) -> None:
-        """A service of a `kind` whose `callback` works in a thread, one request after the other.
+        """Make a service whose callback runs in a thread, one request after the other.
 
-        Messages do not wait for it. `at_once(request, header)` is called in the executor when the
-        request is taken; its result is the third argument of `callback`. The service goes with the
-        next cleanup.
+        Messages do not wait for it. The next cleanup destroys it.
+
+        Parameters
+        ----------
+        kind : type
+            Type of the service.
+        name : str
+            Name of the service.
+        callback : callable
+            Function that is called with request, response and the result of `at_once`.
+        at_once : callable or None
+            Function that is called with request and header in the executor, when the request is
+            received.
         """
         aside = self.aside(name)
         made = self.create_service(kind, name, lambda *asked: asked)
@@ -174,9 +265,19 @@ class RigNode(LifecycleNode, Core):
         self._created.append((self.destroy_service, made))
 
     def aside(self, name: str) -> Callable[[Callable[[], None]], None]:
-        """Return what runs work in a thread called `name`, one piece after the other.
+        """Return a function that runs work in a thread, one piece after the other.
 
-        What the work raises is logged. The thread ends with the next cleanup.
+        An exception in the work is logged. The thread ends with the next cleanup.
+
+        Parameters
+        ----------
+        name : str
+            Name of the thread.
+
+        Returns
+        -------
+        callable
+            Function that is called with the work.
         """
         pool = ThreadPoolExecutor(1, thread_name_prefix=name)
         self._created.append((pool.shutdown, True))
@@ -192,17 +293,36 @@ class RigNode(LifecycleNode, Core):
         return run
 
     def client(self, kind: type, name: str) -> Client:
-        """A client of a service of a `kind` that goes with the next cleanup."""
+        """Make a client of a service that the next cleanup destroys.
+
+        Parameters
+        ----------
+        kind : type
+            Type of the service.
+        name : str
+            Name of the service.
+
+        Returns
+        -------
+        Client
+            The client.
+        """
         made = self.create_client(kind, name)
         self._created.append((self.destroy_client, made))
         return made
 
     def seconds(self) -> float:
-        """Now on the node's clock [s]."""
+        """Return the present time of the node's clock.
+
+        Returns
+        -------
+        float
+            Time [s].
+        """
         return to_seconds(self.get_clock().now().to_msg())
 
     def make_safe_and_close(self) -> None:
-        """Make safe, then let go of all that `setup` made, from whatever state the node is in."""
+        """Make safe, then release everything that `setup` made, in any state of the node."""
         self.active = False
         self.make_safe()
         if self._state_machine.current_state[1] in ('unconfigured', 'inactive', 'active'):
@@ -211,7 +331,13 @@ class RigNode(LifecycleNode, Core):
             self._transition('shutdown', self._end)
 
     def complain(self, sentence: str) -> None:
-        """Say a `sentence` on the log and for 5 s on `/diagnostics`: something came in wrong."""
+        """Report a problem with an input on the log, and for 5 s on `/diagnostics`.
+
+        Parameters
+        ----------
+        sentence : str
+            Text for people.
+        """
         self._complaint = sentence
         self._complaint_until = time.monotonic() + 5.0
         self.get_logger().warning(sentence, throttle_duration_sec=1.0)
@@ -264,7 +390,18 @@ class RigNode(LifecycleNode, Core):
         return TransitionCallbackReturn.SUCCESS
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Fill in what the node needs (`setup`), from whatever `state` it was in."""
+        """Set the node up (`setup`).
+
+        Parameters
+        ----------
+        state : LifecycleState
+            State before the transition.
+
+        Returns
+        -------
+        TransitionCallbackReturn
+            Result of the transition.
+        """
         self.fault = ''
         if self.frame:
             self.log.begin()
@@ -274,26 +411,81 @@ class RigNode(LifecycleNode, Core):
         return done
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let it act (`start`), from whatever `state` it was in."""
+        """Start the node (`start`).
+
+        Parameters
+        ----------
+        state : LifecycleState
+            State before the transition.
+
+        Returns
+        -------
+        TransitionCallbackReturn
+            Result of the transition.
+        """
         done = self._transition('activate', self.start)
         self.active = done == TransitionCallbackReturn.SUCCESS
         return done
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let it rest, safe (`stop`), from whatever `state` it was in."""
+        """Stop the node, safe (`stop`).
+
+        Parameters
+        ----------
+        state : LifecycleState
+            State before the transition.
+
+        Returns
+        -------
+        TransitionCallbackReturn
+            Result of the transition.
+        """
         self.active = False
         return self._transition('deactivate', self.stop)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give back what `setup` made, from whatever `state` it was in."""
+        """Release what `setup` made.
+
+        Parameters
+        ----------
+        state : LifecycleState
+            State before the transition.
+
+        Returns
+        -------
+        TransitionCallbackReturn
+            Result of the transition.
+        """
         return self._transition('cleanup', self._discard)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop and give back, from whatever `state` it was in."""
+        """Stop the node and release what `setup` made.
+
+        Parameters
+        ----------
+        state : LifecycleState
+            State before the transition.
+
+        Returns
+        -------
+        TransitionCallbackReturn
+            Result of the transition.
+        """
         return self._transition('shutdown', self._end)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop and give back, from whatever `state` it was in."""
+        """Stop the node and release what `setup` made.
+
+        Parameters
+        ----------
+        state : LifecycleState
+            State before the transition.
+
+        Returns
+        -------
+        TransitionCallbackReturn
+            Result of the transition.
+        """
         return self._transition('error', self._end)
 
     def _end(self) -> None:
@@ -328,7 +520,18 @@ class RigNode(LifecycleNode, Core):
 
 
 def in_one_line(sentences: Sequence[str]) -> str:
-    """As many of the `sentences` as fit a line, and how many more there are."""
+    """Return as many sentences as fit into one line, and the number of the others.
+
+    Parameters
+    ----------
+    sentences : sequence of str
+        Sentences.
+
+    Returns
+    -------
+    str
+        At most 400 characters.
+    """
     told, left = '', list(sentences)
     while left and len(f'{told}; {left[0]}') <= _LINE - len('; and 999 more'):
         told = '; '.join(filter(None, (told, left.pop(0))))
@@ -338,8 +541,23 @@ def in_one_line(sentences: Sequence[str]) -> str:
 
 
 def status(node: Node, level: bytes, sentence: str, values: dict[str, object]) -> DiagnosticStatus:
-    """The health of a `node`, by its name with its namespace: `level`, a `sentence` and `values`,
-    as `health` gives them.
+    """Return the status message of a node, named by its name with its namespace.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    level : bytes
+        Level of `health`.
+    sentence : str
+        Text for people.
+    values : dict of str to object
+        Values of `health`.
+
+    Returns
+    -------
+    DiagnosticStatus
+        The message.
     """
     full = node.get_fully_qualified_name().removeprefix('/')
     return DiagnosticStatus(
@@ -348,7 +566,7 @@ def status(node: Node, level: bytes, sentence: str, values: dict[str, object]) -
 
 
 def _for_people(error: Exception) -> str:
-    """What somebody has to mend: an input, or the place of a file; '' where it is the code."""
+    """Return what a person must correct, an input or a file; '' if the code is at fault."""
     if isinstance(error, OSError) and error.filename is not None:
         return f'{error.filename}: {error.strerror}'
     return str(error) if isinstance(error, InputError) else ''

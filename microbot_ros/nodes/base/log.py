@@ -1,4 +1,4 @@
-"""Writes what the nodes take in, in order, to `loop/log`."""
+"""Log of the inputs of a node, in order, on `loop/log`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from microbot_ros.nodes.base.messages import to_nanoseconds
 from microbot_ros.session.replay.log import PARAMETERS
 
 _MOST = 200
-"""Entries after which a line is written without a frame, so that no line grows for ever while no
-frame comes. At half or twice that, lines are shorter or longer; nothing is lost."""
+"""Entries after which a line is written without a frame, so that no line grows without bound while
+no frame arrives. Choice: at half or twice that, lines are shorter or longer; nothing is lost."""
 
 
 class _Node(Protocol):
-    """What the log needs of a node."""
+    """Attributes of a node that the log uses."""
 
     frame: ClassVar[str]
     now_ns: int
@@ -35,11 +35,16 @@ class _Node(Protocol):
 
 
 class Log:
-    """The lines of one node in the log of the loop, one for each frame that it takes.
+    """Lines of one node in the log of the loop, one for each frame that it receives.
 
     A recorder receives the same messages at other times and in another order, so that a recording
-    of topics alone does not give the inputs of an answer. `session.log` describes the format.
-    Nothing is published while nobody listens.
+    of topics alone does not determine the inputs of an answer. `session.replay.log` describes the
+    format. Nothing is published while there is no listener.
+
+    Parameters
+    ----------
+    node : _Node
+        The node.
     """
 
     def __init__(self, node: _Node) -> None:
@@ -55,7 +60,20 @@ class Log:
         self._publisher = self._node.publisher(String, 'loop/log')
 
     def keeping(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Return the `callback` of a `topic` with its messages noted."""
+        """Return a callback that also records its messages.
+
+        Parameters
+        ----------
+        topic : str
+            Name of the topic.
+        callback : callable
+            Function that is called with each message.
+
+        Returns
+        -------
+        callable
+            The callback.
+        """
         @functools.wraps(callback)
         def take(message: Any) -> None:
             if hasattr(message, 'header'):
@@ -69,14 +87,34 @@ class Log:
         return take
 
     def note(self, name: str, what: Any) -> None:
-        """Note that the node takes `name` now; `what` is its stamp [ns] or its content."""
+        """Record an input of the node, received now.
+
+        Parameters
+        ----------
+        name : str
+            Name of the input.
+        what : object
+            Its stamp [ns] or its content.
+        """
         self._node.now_ns = self._node.get_clock().now().nanoseconds
         self._taken.append([name, what, self._node.now_ns])
 
     def take(self, values: dict[str, Any], take: Callable[[], str]) -> str:
-        """Note parameters that are being set to `values`, and return what `take()` says to them.
+        """Record parameters that are being set, and return the result.
 
-        A refusal is noted, without the values, only where controllers were called for it.
+        A refusal is recorded, without the values, only if controllers were called for it.
+
+        Parameters
+        ----------
+        values : dict of str to object
+            New values by name.
+        take : callable
+            Function that sets them and returns why they are refused, '' if they are not.
+
+        Returns
+        -------
+        str
+            Result of `take`.
         """
         self.note(PARAMETERS, values)
         entry = self._taken[-1]
@@ -89,13 +127,30 @@ class Log:
         return refusal
 
     def worker(self, patience: float) -> DeadlineWorker:
-        """Return a worker of that `patience` [s] that notes whether calls came in time."""
+        """Return a worker that records whether calls finished in time.
+
+        Parameters
+        ----------
+        patience : float
+            Patience of the worker [s].
+
+        Returns
+        -------
+        DeadlineWorker
+            The worker.
+        """
         def called(letter: str) -> None:
             self._calls += letter
         return NotingWorker(patience, called)
 
     def close(self, frame: bool = False) -> None:
-        """Complete the last entry; write the line where the entry was a `frame`."""
+        """Complete the last entry; write the line if the entry was a frame.
+
+        Parameters
+        ----------
+        frame : bool
+            Whether it was.
+        """
         if self._calls.strip(IN_TIME) and self._taken:
             self._taken[-1].append(self._calls)
         self._calls = ''

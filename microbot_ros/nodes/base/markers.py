@@ -1,4 +1,4 @@
-"""What RViz draws: particles with their speed, and where they are to go."""
+"""Markers for RViz: particles with their speed, and goals."""
 
 from __future__ import annotations
 
@@ -14,12 +14,28 @@ from visualization_msgs.msg import Marker, MarkerArray
 from microbot_ros.nodes.base.messages import WORKSPACE
 
 _BLUE, _ORANGE = ColorRGBA(r=0.0, g=0.45, b=0.7, a=1.0), ColorRGBA(r=0.9, g=0.6, b=0.0, a=1.0)
+"""Colours of particles and goals: two of the palette for colour-blind readers of Okabe and Ito
+(2008)."""
 _SIZE = 5e-6
+"""Size of markers and labels [m]. Choice: about the diameter of a particle."""
 
 
 def markers(particles: np.ndarray, goals: np.ndarray, stamp: Time) -> MarkerArray:
-    """Spheres and labels of `particles` (ESTIMATE), cubes at `goals` (G, 2) [m], with a
-    `stamp`.
+    """Return spheres and labels of particles, and cubes at goals.
+
+    Parameters
+    ----------
+    particles : ndarray, shape (N,)
+        ESTIMATE of each particle.
+    goals : ndarray, shape (G, 2)
+        Goals [m]; those that are not finite are left out.
+    stamp : Time
+        Stamp of the message.
+
+    Returns
+    -------
+    MarkerArray
+        The markers.
     """
     finite = goals[np.isfinite(goals).all(axis=1)]
     made = [

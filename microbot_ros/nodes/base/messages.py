@@ -1,4 +1,4 @@
-"""Arrays to messages and back, without a Python object per particle or pixel."""
+"""Conversion between arrays and messages, without a Python object per particle or pixel."""
 
 from __future__ import annotations
 
@@ -31,22 +31,24 @@ if TYPE_CHECKING:
     from microbot_ros.tracking.locate.colour import Weights
 
 SECOND_NS = 1_000_000_000
+"""Nanoseconds of a second, by definition."""
 
 WORKSPACE = 'workspace'
 """Frame of every position and every field: x right, y up."""
 
 CAMERA = 'camera'
-"""Frame of the picture: x right, y down, z the way the camera looks; from its centre."""
+"""Frame of the picture: x right, y down, z in viewing direction, origin at its centre."""
 
 PIXELS = 'camera_pixels'
-"""Name of pixel coordinates in a point: the centre of the first pixel at 0, 0, y down. It is no
-frame of tf, in which lengths are metres (REP 103)."""
+"""Frame name of pixel coordinates in a point: the centre of the first pixel is (0, 0), y down. It
+is no frame of tf, in which lengths are metres (REP 103)."""
 
 TRUTH = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('speed', '<f4'),
     ('phi', '<f4'),
 ])
-"""A point of `virtual_rig/truth`: SI. For judging the others; no node reads it."""
+"""A point of `virtual_rig/truth`, in SI. It serves to evaluate the other nodes; no node reads
+it."""
 
 _PLANNED = ['bx', 'by', 'frequency']
 
@@ -59,31 +61,88 @@ _NUMPY_TYPES = {code: name for name, code in _POINT_TYPES.items()}
 
 
 class MessageError(ValueError):
-    """A message that came in does not hold what its topic promises."""
+    """Error of a received message whose content does not agree with its topic."""
 
 
 def to_seconds(stamp: Time) -> float:
-    """A ROS stamp as seconds; the resolution of a double at today's epoch is 0.2 µs."""
+    """Return a ROS stamp in seconds; the resolution of a double at today's epoch is 0.2 µs.
+
+    Parameters
+    ----------
+    stamp : Time
+        The stamp.
+
+    Returns
+    -------
+    float
+        Time [s].
+    """
     return stamp.sec + stamp.nanosec * 1e-9
 
 
 def to_stamp(seconds: float) -> Time:
-    """These `seconds` as a ROS stamp."""
+    """Return a time as a ROS stamp.
+
+    Parameters
+    ----------
+    seconds : float
+        Time [s].
+
+    Returns
+    -------
+    Time
+        The stamp.
+    """
     return stamp_at(round(seconds * 1e9))
 
 
 def to_nanoseconds(stamp: Time) -> int:
-    """Return a ROS `stamp` in nanoseconds, exactly."""
+    """Return a ROS stamp in nanoseconds, exactly.
+
+    Parameters
+    ----------
+    stamp : Time
+        The stamp.
+
+    Returns
+    -------
+    int
+        Time [ns].
+    """
     return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
 
 
 def stamp_at(nanoseconds: int) -> Time:
-    """Return the ROS stamp of a time in `nanoseconds`."""
+    """Return a time in nanoseconds as a ROS stamp.
+
+    Parameters
+    ----------
+    nanoseconds : int
+        Time [ns].
+
+    Returns
+    -------
+    Time
+        The stamp.
+    """
     return Time(sec=nanoseconds // SECOND_NS, nanosec=nanoseconds % SECOND_NS)
 
 
 def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:
-    """Structured `points` (N,) as a PointCloud2 of a `stamp`, with one field per name."""
+    """Return structured points as a PointCloud2, with one field per name.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N,)
+        Structured array.
+    stamp : Time
+        Stamp of the message.
+
+    Returns
+    -------
+    PointCloud2
+        The message.
+    """
     kind = points.dtype
     layout: dict[str, Any] = dict(kind.fields or {})
     fields = [
@@ -98,7 +157,18 @@ def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:
 
 
 def in_workspace(header: Header) -> None:
-    """MessageError for a `header` with a frame other than the workspace's; '' stands for it."""
+    """Check that a header has the frame of the workspace, for which '' stands too.
+
+    Parameters
+    ----------
+    header : Header
+        The header.
+
+    Raises
+    ------
+    MessageError
+        If it has another frame.
+    """
     if header.frame_id not in ('', WORKSPACE):
         raise MessageError(
             f"expected the frame '{WORKSPACE}'; received '{clipped(header.frame_id)}': "
@@ -107,17 +177,43 @@ def in_workspace(header: Header) -> None:
 
 
 def estimates(message: PointCloud2) -> np.ndarray:
-    """A `message` of `model/state` as `points` gives it; `theta` is NaN in a recording from before
-    it was there.
+    """Return the estimates in a message of `model/state`.
+
+    Parameters
+    ----------
+    message : PointCloud2
+        The message.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        ESTIMATE; `theta` is NaN in a recording from before that field existed.
     """
     return points(message, ESTIMATE, optional=('theta',))
 
 
 def points(message: PointCloud2, kind: np.dtype, optional: Collection[str] = ()) -> np.ndarray:
-    """The points of a cloud `message` as a structured array (N,) of type `kind`.
+    """Return the points of a cloud as a structured array.
 
-    Raises MessageError where it is not in the workspace, a field of `kind` is missing or the data
-    are shorter than promised. `optional` fields are NaN where they are missing.
+    Parameters
+    ----------
+    message : PointCloud2
+        The message.
+    kind : dtype
+        Type of the array.
+    optional : collection of str
+        Fields that are NaN if they are missing.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Array of type `kind`.
+
+    Raises
+    ------
+    MessageError
+        If the frame is not that of the workspace, a field of `kind` is missing or the data are too
+        short.
     """
     in_workspace(message.header)
     names = [field.name for field in message.fields]
@@ -142,9 +238,23 @@ def points(message: PointCloud2, kind: np.dtype, optional: Collection[str] = ())
 
 
 def image(pixels: np.ndarray, stamp: Time, frame_id: str = CAMERA, encoding: str = '') -> Image:
-    """The `pixels` (H, W) or (H, W, values) in an `encoding`, with `stamp` and `frame_id`.
+    """Return pixels as an Image.
 
-    Without an encoding they are uint8, mono8 or (H, W, 3) bgr8.
+    Parameters
+    ----------
+    pixels : ndarray
+        Array (H, W) or (H, W, values).
+    stamp : Time
+        Stamp of the message.
+    frame_id : str
+        Frame of the picture.
+    encoding : str
+        Encoding; '' for uint8, mono8 or (H, W, 3) bgr8.
+
+    Returns
+    -------
+    Image
+        The message.
     """
     rows = np.ascontiguousarray(pixels)
     data = array.array('B')
@@ -156,9 +266,21 @@ def image(pixels: np.ndarray, stamp: Time, frame_id: str = CAMERA, encoding: str
 
 
 def camera_info(form: CameraFormat, stamp: Time) -> CameraInfo:
-    """What a camera of a format gives, `form`, with a `stamp`: size and region.
+    """Return the CameraInfo of a camera's format: size and region.
 
     Its matrices are zero, which means uncalibrated: a microscope has no focal length in pixels.
+
+    Parameters
+    ----------
+    form : CameraFormat
+        Format of the camera.
+    stamp : Time
+        Stamp of the message.
+
+    Returns
+    -------
+    CameraInfo
+        The message.
     """
     height, width = form.sensor or (form.height, form.width)
     result = CameraInfo(header=Header(stamp=stamp, frame_id=CAMERA), height=height, width=width)
@@ -185,11 +307,25 @@ _TO_BGR = {
 
 
 def gray(message: Image, colour: Weights | None = None) -> np.ndarray:
-    """The picture in a `message` as (H, W) grey values, uint8 or (mono16) uint16.
+    """Return the picture in a message as grey values.
 
-    By the weights of a `colour`, or by brightness where that is None. Raises MessageError for an
-    encoding that is not known, or that has no colours where they are asked for, or data that do
-    not fill the picture.
+    Parameters
+    ----------
+    message : Image
+        The message.
+    colour : Weights or None
+        Weights of the colours; None for brightness.
+
+    Returns
+    -------
+    ndarray, shape (H, W)
+        Uint8, or uint16 for mono16.
+
+    Raises
+    ------
+    MessageError
+        If the encoding is unknown, if it has no colours and `colour` is given, or if the data do
+        not fill the picture.
     """
     kinds: dict[str, tuple[str, int]] = {
         'mono8': ('u1', 1), '8UC1': ('u1', 1), 'mono16': ('u2', 1), '16UC1': ('u2', 1),
@@ -223,7 +359,22 @@ def gray(message: Image, colour: Weights | None = None) -> np.ndarray:
 
 
 def poses(xy: np.ndarray, theta: np.ndarray, stamp: Time) -> PoseArray:
-    """Positions `xy` (N, 2) [m], headings `theta` (N,) [rad], 0 where unknown, with a `stamp`."""
+    """Return positions and headings as a PoseArray.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2)
+        Positions [m].
+    theta : ndarray, shape (N,)
+        Headings [rad], NaN where unknown, which becomes 0.
+    stamp : Time
+        Stamp of the message.
+
+    Returns
+    -------
+    PoseArray
+        The message.
+    """
     half = np.nan_to_num(theta) / 2
     result = PoseArray(header=Header(stamp=stamp, frame_id=WORKSPACE))
     for (x, y), sine, cosine in zip(xy.tolist(), np.sin(half), np.cos(half), strict=True):
@@ -235,28 +386,87 @@ def poses(xy: np.ndarray, theta: np.ndarray, stamp: Time) -> PoseArray:
 
 
 def currents(names: Iterable[str], amperes: Any, stamp: Time) -> JointState:
-    """Currents of coils `names`, `amperes` (n,) in `effort`, and a `stamp`: all `coils/…` topics.
+    """Return currents as a JointState, the message of all `coils/…` topics.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names of the N coils.
+    amperes : object
+        Currents (N,) [A]; they are sent in `effort`.
+    stamp : Time
+        Stamp of the message.
+
+    Returns
+    -------
+    JointState
+        The message.
     """
     return JointState(header=Header(stamp=stamp, frame_id='coils'), name=list(names),
                       effort=[float(value) for value in amperes])
 
 
 def field_at(message: MagneticField) -> tuple[float, np.ndarray]:
-    """When [s] which field (2,) [T] was there, by a `message`; MessageError where that is not of
-    the workspace."""
+    """Return time and field of a message.
+
+    Parameters
+    ----------
+    message : MagneticField
+        The message.
+
+    Returns
+    -------
+    tuple[float, ndarray]
+        Time [s] and field (2,) [T].
+
+    Raises
+    ------
+    MessageError
+        If its frame is not that of the workspace.
+    """
     return _vector_at(message.header, message.magnetic_field)
 
 
 def whole_field_at(message: MagneticField) -> tuple[float, np.ndarray]:
-    """When [s] which field (3,) [T] was there, up or down as well, by a `message`; MessageError
-    where that is not of the workspace."""
+    """Return time and field of a message, with the component along z.
+
+    Parameters
+    ----------
+    message : MagneticField
+        The message.
+
+    Returns
+    -------
+    tuple[float, ndarray]
+        Time [s] and field (3,) [T].
+
+    Raises
+    ------
+    MessageError
+        If its frame is not that of the workspace.
+    """
     t, (x, y) = field_at(message)
     return t, np.array([x, y, message.magnetic_field.z])
 
 
 def vector_at(message: Vector3Stamped) -> tuple[float, np.ndarray]:
-    """When [s] which vector (2,) in the plane, by a `message`; MessageError where that is not of
-    the workspace."""
+    """Return time and vector in the plane of a message.
+
+    Parameters
+    ----------
+    message : Vector3Stamped
+        The message.
+
+    Returns
+    -------
+    tuple[float, ndarray]
+        Time [s] and vector (2,).
+
+    Raises
+    ------
+    MessageError
+        If its frame is not that of the workspace.
+    """
     return _vector_at(message.header, message.vector)
 
 
@@ -266,7 +476,20 @@ def _vector_at(header: Header, vector: Vector3) -> tuple[float, np.ndarray]:
 
 
 def field_vector(field: np.ndarray, stamp: Time) -> Vector3Stamped:
-    """A `field` (2,), in the plane, or (3,) [T] with a `stamp`, as on `field/command`."""
+    """Return a field as the message of `field/command`.
+
+    Parameters
+    ----------
+    field : ndarray
+        Field (2,) in the plane, or (3,) [T].
+    stamp : Time
+        Stamp of the message.
+
+    Returns
+    -------
+    Vector3Stamped
+        The message.
+    """
     message = Vector3Stamped(header=Header(stamp=stamp, frame_id=WORKSPACE))
     for name, value in zip('xyz', field.tolist(), strict=False):
         setattr(message.vector, name, value)
@@ -274,22 +497,43 @@ def field_vector(field: np.ndarray, stamp: Time) -> Vector3Stamped:
 
 
 def vector(message: Vector3Stamped) -> np.ndarray:
-    """All of a `message` (3,), in the workspace frame. MessageError for another frame."""
+    """Return the vector of a message.
+
+    Parameters
+    ----------
+    message : Vector3Stamped
+        The message.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Vector in the frame of the workspace.
+
+    Raises
+    ------
+    MessageError
+        If its frame is not that of the workspace.
+    """
     in_workspace(message.header)
     return np.array([message.vector.x, message.vector.y, message.vector.z])
 
 
 def rotating(field: np.ndarray, angular_velocity: np.ndarray, stamp: Time) -> TwistStamped:
-    """Return the message on `field/rotating` of a `stamp`.
+    """Return a rotating field as the message of `field/rotating`.
 
     Parameters
     ----------
-    field
-        Field vector that rotates (2,), in the plane, or (3,) [T].
-    angular_velocity
-        Angular velocity of the field (3,) [rad/s].
-    stamp
+    field : ndarray
+        Field that rotates, (2,) in the plane or (3,) [T].
+    angular_velocity : ndarray, shape (3,)
+        Angular velocity of the field [rad/s].
+    stamp : Time
         Exposure of the frame that the command answers.
+
+    Returns
+    -------
+    TwistStamped
+        The message.
     """
     message = TwistStamped(header=Header(stamp=stamp, frame_id=WORKSPACE))
     for part, values in ((message.twist.linear, field), (message.twist.angular, angular_velocity)):
@@ -299,9 +543,22 @@ def rotating(field: np.ndarray, angular_velocity: np.ndarray, stamp: Time) -> Tw
 
 
 def rotating_field(message: TwistStamped) -> tuple[np.ndarray, np.ndarray]:
-    """Return field (3,) [T] and angular velocity (3,) [rad/s] of a `message` on `field/rotating`.
+    """Return field and angular velocity of a message on `field/rotating`.
 
-    Raises MessageError for a frame other than the workspace's.
+    Parameters
+    ----------
+    message : TwistStamped
+        The message.
+
+    Returns
+    -------
+    tuple[ndarray, ndarray]
+        Field (3,) [T] and angular velocity (3,) [rad/s].
+
+    Raises
+    ------
+    MessageError
+        If its frame is not that of the workspace.
     """
     in_workspace(message.header)
     field, angular_velocity = (np.array([part.x, part.y, part.z]) for part in (
@@ -310,9 +567,24 @@ def rotating_field(message: TwistStamped) -> tuple[np.ndarray, np.ndarray]:
 
 
 def plan_rows(message: JointTrajectory) -> Commands:
-    """A plan as it comes on `field/plan`: the rows of a `message`, times from its beginning.
+    """Return the plan in a message on `field/plan`, with times from its beginning.
 
-    Joints `bx` and `by` [T], and `frequency` [Hz] of a rolling field; MessageError for others.
+    Its joints are `bx` and `by` [T], and optionally `frequency` [Hz] of a rolling field.
+
+    Parameters
+    ----------
+    message : JointTrajectory
+        The message.
+
+    Returns
+    -------
+    Commands
+        The plan.
+
+    Raises
+    ------
+    MessageError
+        If it has other joints or another frame.
     """
     in_workspace(message.header)
     names = list(message.joint_names)
@@ -327,7 +599,20 @@ def plan_rows(message: JointTrajectory) -> Commands:
 
 
 def plan(commands: Commands, stamp: Time) -> JointTrajectory:
-    """A plan for `field/plan`, of a `stamp` that tells it from others: `commands` from 0 on."""
+    """Return a plan as the message of `field/plan`.
+
+    Parameters
+    ----------
+    commands : Commands
+        The plan, with times from 0.
+    stamp : Time
+        Stamp that distinguishes it from other plans.
+
+    Returns
+    -------
+    JointTrajectory
+        The message.
+    """
     rows = commands.field if commands.frequency is None else np.column_stack(
         [commands.field, commands.frequency])
     result = JointTrajectory(header=Header(stamp=stamp, frame_id=WORKSPACE),
@@ -340,7 +625,20 @@ def plan(commands: Commands, stamp: Time) -> JointTrajectory:
 
 
 def magnetic_field(field: np.ndarray, stamp: Time) -> MagneticField:
-    """A `field` (2,), in the plane, or (3,) [T] with a `stamp`, as on `field/applied`."""
+    """Return a field as the message of `field/applied`.
+
+    Parameters
+    ----------
+    field : ndarray
+        Field (2,) in the plane, or (3,) [T].
+    stamp : Time
+        Stamp of the message.
+
+    Returns
+    -------
+    MagneticField
+        The message.
+    """
     message = MagneticField(header=Header(stamp=stamp, frame_id=WORKSPACE))
     for name, value in zip('xyz', field.tolist(), strict=False):
         setattr(message.magnetic_field, name, value)

@@ -1,4 +1,4 @@
-"""The nodes by name."""
+"""Names of the nodes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NODES = {
     'player': 'PlayerNode',
     'cockpit': 'CockpitNode',
 }
-"""Node name → class in the module of the same name; imported only where it runs."""
+"""Class of each node in the module of the same name; imported only where it runs."""
 
 LOOP_NODES = ('camera', 'tracker', 'model', 'controller', 'coil_driver')
-"""Nodes that run in real time."""
+"""Nodes that run with real-time priority."""

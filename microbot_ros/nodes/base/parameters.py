@@ -1,4 +1,4 @@
-"""One frozen dataclass per node becomes its ROS parameters, validated and swapped atomically."""
+"""ROS parameters from one frozen dataclass per node, validated and replaced atomically."""
 
 from __future__ import annotations
 
@@ -22,14 +22,33 @@ ValuesT = TypeVar('ValuesT')
 
 
 class ParameterSet(Generic[ValuesT]):
-    """The parameters of a `node`, or of a part of it under `prefix`: immutable `values` of a
-    `kind`.
+    """Parameters of a node, or of a part of it under a prefix.
 
-    A change is accepted whole or refused whole with a reason, over all sets of the node, which
-    are made `beside` its first: each value against its own range, then every
-    `veto(new_values)` (a reason, or '' to accept), neither of which has effects; then the first
-    set's `take(changed, named)`, which hands the new values, by prefix, to what runs with them,
-    and may refuse too if it leaves everything as it was. `values` change only after that.
+    A change is accepted whole or refused whole with a reason, over all sets of the node: first
+    each value is checked against its range, then each set's `veto` is asked, neither of which has
+    effects. Then the first set's `take` hands the new values to the code that uses them, and may
+    refuse as well if it leaves everything unchanged. `values` change only after that.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    kind : type[ValuesT]
+        Dataclass of the parameters.
+    veto : callable
+        Function that returns why new values are refused; '' to accept.
+    prefix : str
+        Prefix of their names.
+    take : callable
+        Function that receives the new values of each set by prefix and the names that were set,
+        and returns why they are refused.
+    beside : ParameterSet[object] or None
+        First set of the node; None for the first.
+
+    Raises
+    ------
+    InputError
+        If an initial value is refused.
     """
 
     def __init__(
@@ -99,9 +118,19 @@ class ParameterSet(Generic[ValuesT]):
 
 
 def refuse_unknown(node: Node) -> None:
-    """Raise InputError for a parameter that was given but that the node does not have.
+    """Refuse a parameter that was given but that the node does not have.
 
     rclpy ignores such overrides, and a misspelt limit would silently keep its default.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+
+    Raises
+    ------
+    InputError
+        If there is one.
     """
     for name in node._parameter_overrides:
         if not node.has_parameter(name) and not name.startswith('qos_overrides.'):

@@ -1,11 +1,11 @@
-"""One participant in the graph for a process, which ends with it and not before.
+"""One participant in the graph per process, which lives as long as the process.
 
 Fast DDS 2.14 can deadlock while a participant is deleted: `DomainParticipant::set_listener` holds
-the lock that a callback waits for, which has just heard of somebody else's publisher, and waits
-for the callback. It does so with Python's interpreter locked, so that no thread and no signal
-handler can help. Of seven hundred clients that came and went beside processes that were killed,
-one hung so. What is never deleted cannot hang: a node that does nothing keeps the participant,
-and the system ends it with the process.
+the lock that a callback waits for, which has just discovered another process's publisher, and
+waits for the callback. It does so with Python's interpreter locked, so that no thread and no
+signal handler can help. Of seven hundred clients that came and went beside processes that were
+killed, one hung this way. A participant that is never deleted cannot hang: an idle node keeps the
+participant, and the system ends it with the process.
 """
 
 from __future__ import annotations
@@ -38,24 +38,41 @@ from microbot_ros.nodes.base.transport import (
 )
 
 _PATIENCE_S = 20.0
-"""How long a program that ends without `leave` may take for it."""
+"""Time [s] that a program without `leave` has to end. Choice: longer than any orderly end takes
+(15 s)."""
 
 _KEPT: list[Node] = []
 
 
 def join(arguments: list[str] | None) -> None:
-    """Let this process take part in the graph with nodes, until it ends.
+    """Join the graph with this process until it ends; call `leave` at the end.
 
-    `arguments` are those of ROS. Call `leave` at the end. InputError where other computers could
-    reach it, unless ROS_AUTOMATIC_DISCOVERY_RANGE asks for that.
+    Parameters
+    ----------
+    arguments : list of str or None
+        ROS arguments, `--ros-args` and what follows.
+
+    Raises
+    ------
+    InputError
+        If other computers could reach the process, unless ROS_AUTOMATIC_DISCOVERY_RANGE requests
+        that.
     """
     _join(arguments, NODE, None)
 
 
 def client_context() -> Context:
-    """What all clients in this process share; one for each ROS domain that it was in.
+    """Return the context that all clients in this process share, one for each ROS domain.
 
-    InputError as `join`.
+    Returns
+    -------
+    Context
+        The context.
+
+    Raises
+    ------
+    InputError
+        As `join`.
     """
     return _joined(os.environ.get('ROS_DOMAIN_ID', ''))
 
@@ -66,9 +83,9 @@ def _joined(_: str) -> Context:
 
 
 def _join(arguments: list[str] | None, profile: str, context: Context | None) -> Context:
-    """Make the participant in a `context`: on this machine alone, unless more was asked for.
+    """Make the participant in a context: on this machine alone, unless more was requested.
 
-    InputError where others reach it all the same, since the `profile` was not read: by another
+    InputError if others reach it all the same, since the `profile` was not read: by another
     version of the middleware, or after another participant in this process.
     """
     asked = asked_reach(get_rmw_implementation_identifier())
@@ -100,7 +117,13 @@ def _participant(arguments: list[str] | None, context: Context | None) -> Contex
 
 
 def leave(status: int) -> NoReturn:
-    """End this process with that exit `status` at once; all nodes have been destroyed before."""
+    """End this process at once; all nodes have been destroyed before.
+
+    Parameters
+    ----------
+    status : int
+        Exit status.
+    """
     if not _KEPT:
         sys.exit(status)
     atexit._run_exitfuncs()  # whoever else has something to close; the system does not call them

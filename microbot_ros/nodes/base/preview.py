@@ -1,4 +1,4 @@
-"""`camera/preview`: small pictures for screens, made beside the loop and only while looked at."""
+"""Topic `camera/preview`: small pictures for screens, made beside the loop only on demand."""
 
 from __future__ import annotations
 
@@ -15,17 +15,26 @@ from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import IMAGES_OUT, RigNode
 
 _RATE_HZ = 30.0
+"""Highest rate [Hz]. Choice: smooth to the eye; the frames of a camera may be ten times as
+many."""
 _WIDEST_PX = 640
+"""Largest width [px]. Choice: a page shows it sharp enough; twice costs four times the line."""
 _QUALITY = 80
+"""Quality of the JPEG, 0 to 100. Choice: higher enlarges the pictures, lower shows blocks."""
 _FORMAT = 'mono8; jpeg compressed mono8'
-"""As image_transport writes it."""
+"""Format as image_transport writes it."""
 
 
 class Preview:
-    """Publishes what a `node` that has frames offers, at most 30 times a second, as JPEG.
+    """Publisher of small JPEG pictures of a node's frames, at most 30 times a second.
 
     A picture wider than 640 px is reduced by a whole number. A thread of ordinary priority does
-    it; while it is at one, the newest that is offered waits and others are left out.
+    it; while it works, the newest offered frame waits and others are left out.
+
+    Parameters
+    ----------
+    node : RigNode
+        Node with frames.
     """
 
     def __init__(self, node: RigNode) -> None:
@@ -39,7 +48,13 @@ class Preview:
         self._thread.start()
 
     def offer(self, image: Image) -> None:
-        """Take an `image` that was published, if it is time for one and somebody looks."""
+        """Offer a frame; it is used if a picture is due and there is a listener.
+
+        Parameters
+        ----------
+        image : Image
+            Frame that was published.
+        """
         if not self._publisher.get_subscription_count():
             return
         t = messages.to_seconds(image.header.stamp)
@@ -75,7 +90,23 @@ class Preview:
 
 
 def preview(image: Image) -> CompressedImage:
-    """An `image` as a small grey JPEG, with its header. MessageError where it can't be read."""
+    """Return a picture as a small grey JPEG, with its header.
+
+    Parameters
+    ----------
+    image : Image
+        The picture.
+
+    Returns
+    -------
+    CompressedImage
+        The JPEG.
+
+    Raises
+    ------
+    MessageError
+        If the picture cannot be read.
+    """
     pixels = messages.gray(image)
     factor = -(-pixels.shape[1] // _WIDEST_PX)
     if factor > 1:
@@ -88,7 +119,18 @@ def preview(image: Image) -> CompressedImage:
 
 
 def in_8_bits(pixels: np.ndarray) -> Any:
-    """The `pixels` (H, W), uint8 or uint16, as uint8; the brightest of 16 bits becomes white."""
+    """Return pixels as uint8; the brightest of 16 bits becomes white.
+
+    Parameters
+    ----------
+    pixels : ndarray, shape (H, W)
+        Uint8 or uint16.
+
+    Returns
+    -------
+    object
+        Uint8 of the same shape.
+    """
     if pixels.dtype == np.uint8:
         return pixels
     return cv2.convertScaleAbs(pixels, alpha=255.0 / max(int(pixels.max()), 1))

@@ -1,4 +1,4 @@
-"""The topics of the graph that are worth keeping, with what it takes to hear them."""
+"""Topics of the graph that are recorded, with the quality of service to receive them."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 _IMAGES = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-"""Half a second of frames at 100 Hz may wait; a node that must act on the newest takes fewer."""
+"""Choice: half a second of frames at 100 Hz may wait; a node that must act on the newest keeps
+fewer."""
 
 KEPT = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL)
-"""Nothing is given up for something newer: to record by, and to play."""
+"""Keep every message: to record and to play."""
 
 _LATCHED = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL,
                       durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-"""What was said last before the recording began is kept, too."""
+"""Receive also the last message from before the recording began."""
 
 CHANGES = '/parameter_events'
-"""Every change of a parameter of a node, made by rclpy itself."""
+"""Topic with every change of a parameter of a node, published by rclpy itself."""
 
 TOPICS: dict[str, tuple[type, QoSProfile]] = {
     'camera/image_raw': (Image, _IMAGES),
@@ -56,9 +57,20 @@ TOPICS: dict[str, tuple[type, QoSProfile]] = {
     '/diagnostics': (DiagnosticArray, KEPT),
     CHANGES: (ParameterEvent, KEPT),
 }
-"""Topic → its type, and the quality of service to subscribe with."""
+"""Type of each topic, and the quality of service to subscribe with."""
 
 
 def type_name(kind: type) -> str:
-    """The name of a message type `kind` as recordings have it: 'sensor_msgs/msg/Image'."""
+    """Return the name of a message type as recordings contain it: 'sensor_msgs/msg/Image'.
+
+    Parameters
+    ----------
+    kind : type
+        Class of the messages.
+
+    Returns
+    -------
+    str
+        Name of the type.
+    """
     return f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'

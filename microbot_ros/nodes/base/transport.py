@@ -1,4 +1,4 @@
-"""How messages cross between processes of one machine."""
+"""Transport of messages between the processes of one machine."""
 
 from __future__ import annotations
 
@@ -11,32 +11,44 @@ from importlib import resources
 from pathlib import Path
 
 NODE = 'node_transport.xml'
-"""The profile of nodes, with shared memory for frames. The default segment of Fast DDS holds one
-of 640×480 and not one of 1280×1024, which then crosses by UDP in 24 ms instead of 4."""
+"""Profile of nodes, with shared memory for frames. The default segment of Fast DDS holds one frame
+of 640×480 and none of 1280×1024, which then crosses by UDP in 24 ms instead of 4."""
 
 CLIENT = 'client_transport.xml'
-"""The profile of who comes and goes: UDP alone."""
+"""Profile of short-lived clients: UDP alone."""
 
 BY_PROFILE, NOWHERE = 'SYSTEM_DEFAULT', 'OFF'
-"""Ranges of discovery: what the profile says, and none."""
+"""Ranges of discovery: that of the profile, and none."""
 
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 _HERE = 'LOCALHOST'
 _LOOPBACK = '0100007F:'
-"""127.0.0.1 as the kernel's tables have it."""
+"""Address 127.0.0.1 as in the kernel's tables."""
 
 _SHARED = Path('/dev/shm')
 _LOCKS = f'fastrtps_{"[0-9a-f]" * 16}_el'
+"""Pattern of the lock files of Fast DDS, as seen in its source."""
 _FRESH_SECONDS = 5.0
-"""A segment this young may not have been locked yet by the process that makes it."""
+"""Age [s] below which a segment may not have been locked yet by its process. Choice: far longer
+than creating it takes."""
 
 
 def asked_reach(middleware: str) -> str | None:
-    """The range of discovery that the caller's environment asks for; None where ours is to do.
+    """Return the range of discovery that the user's environment requests.
 
-    Whoever names peers, has a profile of their own or another `middleware` than Fast DDS, for
-    which ours are, is left with what that makes of the range.
+    If the user names peers, has an own profile or uses another middleware than Fast DDS, for which
+    the profiles here are made, the range has the meaning of that setup.
+
+    Parameters
+    ----------
+    middleware : str
+        Identifier of the middleware.
+
+    Returns
+    -------
+    str or None
+        None if nothing is requested and the profiles here apply.
     """
     reach = os.environ.get(RANGE, _HERE)
     theirs = (reach != _HERE or _PROFILES in os.environ or os.environ.get('ROS_STATIC_PEERS')
@@ -46,10 +58,21 @@ def asked_reach(middleware: str) -> str | None:
 
 @contextmanager
 def transport(reach: str, profile: str = '') -> Iterator[None]:
-    """A participant that is made meanwhile has this range of discovery, `reach`, and a `profile`,
-    where the caller has none.
+    """Give a participant made in this context a range of discovery and a profile.
 
-    Fast DDS reads the profile when the first participant of a process is made, and never again.
+    A profile of the user is kept. Fast DDS reads the profile when the first participant of a
+    process is made, and never again.
+
+    Parameters
+    ----------
+    reach : str
+        Range of discovery.
+    profile : str
+        Name of the profile; '' for none.
+
+    Yields
+    ------
+    None
     """
     before = {name: os.environ.get(name) for name in (RANGE, _PROFILES)}
     os.environ[RANGE] = reach
@@ -66,7 +89,13 @@ def transport(reach: str, profile: str = '') -> Iterator[None]:
 
 
 def reached_sockets() -> set[str]:
-    """The UDP sockets of this process that are bound elsewhere than to loopback, by inode."""
+    """Return the UDP sockets of this process that are bound to other addresses than loopback.
+
+    Returns
+    -------
+    set of str
+        Their inodes.
+    """
     own = set()
     for file in Path('/proc/self/fd').iterdir():
         with suppress(OSError):  # closed meanwhile
@@ -77,9 +106,10 @@ def reached_sockets() -> set[str]:
 
 
 def clear_shared_memory() -> None:
-    """Remove the shared memory of processes that were killed, 35 MB each.
+    """Remove the shared memory of killed processes, 35 MB each.
 
-    Whoever made a segment of Fast DDS holds a lock on the file beside it for as long as it lives.
+    A process that makes a segment of Fast DDS holds a lock on the file beside it as long as it
+    lives.
     """
     for lock in _SHARED.glob(_LOCKS):
         with suppress(OSError), lock.open('rb') as held:  # of another user, or gone meanwhile
@@ -89,7 +119,7 @@ def clear_shared_memory() -> None:
 
 
 def remove_own_shared_memory() -> None:
-    """Remove what this process made: it ends now, without telling the middleware."""
+    """Remove the shared memory of this process, which ends without notifying the middleware."""
     locks = [line.split() for line in Path('/proc/locks').read_text().splitlines()]
     own = {int(words[5].rpartition(':')[2]) for words in locks
            if words[1] == 'FLOCK' and words[4] == str(os.getpid())}

@@ -13,16 +13,21 @@ from microbot_ros.common import units
 _TYPES: tuple[tuple[type, str, str], ...] = (
     (bool, 'boolean', ''), (int, 'integer', 'numbers'), (float, 'number', 'numbers'),
     (str, 'text', 'texts'))
-"""Type in Python → what the page calls it, and a list of such."""
+"""Name on the page of a type in Python, and of a list of it."""
 _OWN_VERB = 'controller'
-"""The parameter that says who drives; the page has a verb for it."""
+"""Parameter that selects the controller; the page has a separate command for it."""
 _OF_ROS = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 
 
 class Described:
-    """What may be shown of the parameters of the controller: by `descriptors`, with values.
+    """Parameters of the controller that may be shown, with descriptors and values.
 
-    Left out are those of ROS itself and names of files, which are no business of a browser.
+    Parameters of ROS itself and names of files, which a browser must not set, are left out.
+
+    Parameters
+    ----------
+    descriptors : sequence of ParameterDescriptor
+        Descriptors of all parameters.
     """
 
     def __init__(self, descriptors: Sequence[ParameterDescriptor]) -> None:
@@ -35,11 +40,22 @@ class Described:
 
     @property
     def names(self) -> list[str]:
-        """All of them."""
+        """Names of the parameters."""
         return list(self._descriptors)
 
     def with_values(self, values: Sequence[Any]) -> Described:
-        """These, with new `values`, in the order of the names."""
+        """Set new values.
+
+        Parameters
+        ----------
+        values : sequence of object
+            Values in the order of the names.
+
+        Returns
+        -------
+        Described
+            This object.
+        """
         self._values = {name: _plain(value)
                         for name, value in zip(self.names, values, strict=True)}
         for name, value in self._values.items():
@@ -49,12 +65,41 @@ class Described:
         return self
 
     def of(self, controller: str) -> list[dict[str, Any]]:
-        """Those of the manager and of a `controller`, as the page has them."""
+        """Return the parameters of the manager and of a controller, as the page receives them.
+
+        Parameters
+        ----------
+        controller : str
+            Name of the controller.
+
+        Returns
+        -------
+        list of dict of str to object
+            One dictionary per parameter.
+        """
         return [self._entry(name) for name in self._values
                 if '.' not in name or name.startswith(f'{controller}.')]
 
     def converted(self, name: str, value: Any) -> Any:
-        """The `value` as the node takes it; ValueError for a `name` that is not to be set."""
+        """Return a value in the type of its parameter.
+
+        Parameters
+        ----------
+        name : str
+            Name of the parameter.
+        value : object
+            Value from the page.
+
+        Returns
+        -------
+        object
+            Value for the node.
+
+        Raises
+        ------
+        ValueError
+            If the parameter is unknown or fixed, or the value of another type.
+        """
         descriptor = self._descriptors.get(name)
         if descriptor is None:
             raise ValueError(f'{name} is no parameter of the controller')
@@ -76,7 +121,7 @@ def _plain(value: Any) -> Any:
 
 
 def _type(value: Any, descriptor: ParameterDescriptor) -> str:
-    """What a page calls the type of a parameter."""
+    """Return the page's name of the type of a parameter."""
     if descriptor.floating_point_range:
         return 'number'
     if isinstance(value, list):
@@ -85,7 +130,7 @@ def _type(value: Any, descriptor: ParameterDescriptor) -> str:
 
 
 def _converted(name: str, kind: str, value: Any) -> Any:
-    """The `value` of a parameter in its type, a `kind`; ValueError for another type."""
+    """Return the value of a parameter in its type; ValueError for another type."""
     if kind == 'numbers' and isinstance(value, list):
         return [_converted(name, 'number', item) for item in value]
     if kind == 'number' and isinstance(value, int) and not isinstance(value, bool):
@@ -99,7 +144,7 @@ def _converted(name: str, kind: str, value: Any) -> Any:
 
 
 def _range(descriptor: ParameterDescriptor) -> tuple[float | None, float | None]:
-    """Least and largest value, None where nothing bounds it."""
+    """Return lowest and highest value, None if unlimited."""
     for one in (*descriptor.floating_point_range, *descriptor.integer_range):
         return one.from_value, one.to_value
     return None, None

@@ -22,24 +22,37 @@ from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.nodes.client.live_session_buffer import LiveSessionBuffer
 
 CONTROLLER, AT_REST = 'experiment', 'hold'
-"""What drives, and what is left driving."""
+"""Controller that drives, and controller that is active afterwards."""
 
 UNSEEN = 3.0
-"""Seconds without a particle, or without a word of the controller, that end an experiment."""
+"""Time [s] without a particle, or without a message of the controller, that ends an experiment.
+Choice: a particle that is lost for less is usually found again."""
 
 _HEARD = 5.0
-"""So long a rig may take to say how it is [s]."""
+"""Time [s] in which a rig must report its state. Choice: five reports at 1 Hz."""
 
 _LONGEST = 600.0
-"""Seconds of an experiment that are kept, at most."""
+"""Longest experiment that is kept [s]. Choice: bounds the memory; a longer experiment loses its
+beginning."""
 
 
 class DrivenRig:
-    """The rig of the graph of a `client`; `keep` is given each experiment as it was recorded.
+    """Rig of the graph of a client.
 
-    Use as a context: it lets `experiment` drive, and leaves the rig at rest, unless an operator
-    has taken over. RigError where the gate is not armed, no particle is seen or the controller is
-    not there.
+    Use it as a context: it activates the controller `experiment`, and leaves the rig at rest,
+    unless an operator has taken over.
+
+    Parameters
+    ----------
+    client : GraphClient
+        Client of the graph.
+    keep : callable
+        Function that is called with the recording of each experiment.
+
+    Raises
+    ------
+    RigError
+        On entering, if the gate is not armed, no particle is seen or the controller is missing.
     """
 
     def __init__(self, client: GraphClient, keep: Callable[[Session], None]) -> None:
@@ -70,7 +83,7 @@ class DrivenRig:
 
     def __enter__(self) -> DrivenRig:
         if not self._client.until(lambda: self._armed is not None, _HEARD):
-            raise RigError('coil_driver says nothing of its gate: is it running?')
+            raise RigError('coil_driver does not report its gate: is it running?')
         if not self._armed:
             raise RigError('the gate is not armed; run: microbot arm')
         if not self._client.until(lambda: self._seen > 0, _HEARD):
@@ -87,19 +100,29 @@ class DrivenRig:
             self._client.set('controller', controller=AT_REST)
 
     def tell_to_end(self) -> None:
-        """Let the experiment that is played be the last; from any thread, or a signal."""
+        """Make the present experiment the last; callable from any thread, or a signal handler."""
         self._ending = True
 
     @property
     def seconds(self) -> float:
-        """Since the first frame of the first experiment, on the rig's clock."""
+        """Time [s] since the first frame of the first experiment, on the rig's clock."""
         now = self._client.node.get_clock().now().nanoseconds * 1e-9
         return now - self._origin if math.isfinite(self._origin) else 0.0
 
     def play(self, plan: Plan) -> Played:
-        """Have the controller play a `plan`; to its end, or until something stops it.
+        """Make the controller play a plan to its end, or until something stops it.
 
-        Then the particles mark time until the next, which is part of that one's recording.
+        Then the particles mark time until the next plan; this is part of the next recording.
+
+        Parameters
+        ----------
+        plan : Plan
+            The plan.
+
+        Returns
+        -------
+        Played
+            The recording, and why it stopped.
         """
         self._attend()
         if stopped := self._trouble():
@@ -123,8 +146,7 @@ class DrivenRig:
         return Played(session, stopped)
 
     def _listen(self) -> None:
-        """Take in, in a thread, what comes while it is thought: when a command came is when it
-        was taken in."""
+        """Receive messages in a thread during computations, so that arrivals are timed."""
         self._thinking.set()
         self._listener = threading.Thread(target=self._take_in, name='listener', daemon=True)
         self._listener.start()
@@ -141,7 +163,7 @@ class DrivenRig:
             self._listener = None
 
     def _trouble(self) -> str:
-        """What stops an experiment; '' while nothing does."""
+        """Return why an experiment must stop; '' if it need not."""
         name, now = self._said.get('controller', CONTROLLER), time.monotonic()
         if name != CONTROLLER:
             return f'an operator let {name} drive'
@@ -158,7 +180,7 @@ class DrivenRig:
         return ''
 
     def _recorded(self) -> Session:
-        """What was collected, on a clock that began with the first experiment."""
+        """Return the recording, with times from the beginning of the first experiment."""
         session = self._recent.session()
         if not len(session.tracks.t):
             return session
@@ -183,7 +205,7 @@ class DrivenRig:
 
 
 def _ended(plan: Plan) -> Commands:
-    """The fields of a plan, and no field at its end."""
+    """Return the fields of a plan, and no field at its end."""
     commands = plan.commands()
     return Commands(
         np.append(commands.t, plan.duration), np.vstack([commands.field, np.zeros(2)]),

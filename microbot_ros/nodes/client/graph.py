@@ -1,4 +1,4 @@
-"""Starts a graph of nodes as processes, watches them, stops them. Needs no launch."""
+"""Start, supervision and stop of a graph of nodes as processes, without launch."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ from microbot_ros.common.first_compilation import COMPILES
 from microbot_ros.nodes.base.transport import clear_shared_memory
 
 WORD = 'microbot: '
-"""How a child begins a line of its own, and not of a library."""
+"""Beginning of a line that a child prints itself, in contrast to its libraries."""
 READY = f'{WORD}ready'
-"""What a child prints on standard output when it does its work."""
+"""Line that a child prints on standard output when it works."""
 
 _START_S = 600.0
-"""How long children may take to get ready: where all compile, two busy cores need minutes."""
+"""Time [s] in which children must get ready. Choice: if all compile, two busy cores need
+minutes."""
 _END_S = 15.0
-"""How long children may take to end: a recorder on a slow disk has much to write."""
+"""Time [s] in which children must end. Choice: a recorder on a slow disk has much to write."""
 _REMARK_S = 1.0
-"""After this it is said who is still ending."""
+"""Time [s] after which children that are still ending are reported. Choice: most end within it."""
 
 
 @dataclass
@@ -40,19 +41,22 @@ class _Child:
     says_when_ready: str
     ready: bool = False
     unfinished: bytes = b''
-    """What it has printed of a line that has no end yet."""
+    """Printed part of a line that has no end yet."""
     said: list[str] = field(default_factory=list)
 
 
 class Graph:
-    """Child processes of one rig. Use as a context: leaving it stops what still runs.
+    """Child processes of one rig, as a context: leaving it stops those that still run.
 
-    `tell` is called with each line that a child prints.
+    Parameters
+    ----------
+    tell : callable
+        Function that is called with the name of a child and each line that it prints.
     """
 
     def __init__(self, tell: Callable[[str, str], None]) -> None:
         self.killed: list[str] = []
-        """Children that did not end when they were told to."""
+        """Children that did not end when requested."""
         self._tell = tell
         self._environment = {**os.environ, PARENT: str(os.getpid())}
         self._children: dict[str, _Child] = {}
@@ -70,21 +74,38 @@ class Graph:
 
     @property
     def count(self) -> int:
-        """How many children were started and not yet stopped."""
+        """Number of children that were started and not yet stopped."""
         return len(self._children)
 
     def start_node(self, name: str, parameters: Path, namespace: str = '/') -> None:
-        """Start a process with the node `name` in a `namespace`, and a file of its `parameters`.
+        """Start a process with a node.
+
+        Parameters
+        ----------
+        name : str
+            Name of the node.
+        parameters : Path
+            File of its parameters.
+        namespace : str
+            Namespace of the rig; '/' for the root.
         """
         self._start(name, [sys.executable, '-m', 'microbot_ros.nodes', name,
                            '--ros-args', '--params-file', str(parameters),
                            '-r', f'__ns:={namespace}'], READY, True)
 
     def start(self, name: str, command: Sequence[str], says_when_ready: str = READY) -> None:
-        """Start a child that is no node by its `command`, as an emulated amplifier, under a
-        `name`.
+        """Start a child that is no node, such as an emulated amplifier.
 
-        It does its work once it prints `says_when_ready`, and ends after the nodes.
+        It ends after the nodes.
+
+        Parameters
+        ----------
+        name : str
+            Name of the child.
+        command : sequence of str
+            Its command.
+        says_when_ready : str
+            Beginning of the line that it prints when it works.
         """
         self._start(name, command, says_when_ready, False)
 
@@ -102,7 +123,18 @@ class Graph:
         self._selector.register(_output(child), selectors.EVENT_READ, child)
 
     def wait_ready(self, seconds: float = _START_S) -> None:
-        """Return when every child works. InputError when one ends or takes more than `seconds`."""
+        """Return when every child works.
+
+        Parameters
+        ----------
+        seconds : float
+            Longest time to wait [s].
+
+        Raises
+        ------
+        InputError
+            If a child ends or takes too long.
+        """
         deadline = time.monotonic() + seconds
         while waiting := [c for c in self._children.values() if not c.ready]:
             self.pump(0.1)
@@ -116,14 +148,18 @@ class Graph:
                     raise InputError(child.name, f'did not get ready within {seconds:g} s')
 
     def pump(self, seconds: float) -> None:
-        """Pass on what children print, for at most `seconds` or until one has printed."""
+        """Pass on the lines that children print, until one has printed.
+
+        Parameters
+        ----------
+        seconds : float
+            Longest time to wait [s].
+        """
         for key, _ in self._selector.select(seconds):
             self._read(key.data)
 
     def _read(self, child: _Child) -> None:
-        """Pass on every line that a child has printed up to now, the last one even unfinished
-        where nothing can follow.
-        """
+        """Pass on every line that a child has printed, at its end also an unfinished one."""
         output = _output(child)
         while output in self._selector.get_map():
             try:
@@ -151,30 +187,54 @@ class Graph:
                 self._tell(child.name, line)
 
     def ended(self) -> dict[str, int]:
-        """Children that have ended by themselves, with their exit status."""
+        """Return the children that have ended by themselves.
+
+        Returns
+        -------
+        dict of str to int
+            Exit status by name.
+        """
         return {
             name: child.process.returncode for name, child in self._children.items()
             if child.process.poll() is not None
         }
 
     def process_id(self, name: str) -> int:
-        """The process id of the child of that `name`."""
+        """Return the process id of a child.
+
+        Parameters
+        ----------
+        name : str
+            Name of the child.
+
+        Returns
+        -------
+        int
+            Process id.
+        """
         return self._children[name].process.pid
 
     def tell_to_end(self) -> None:
-        """SIGTERM every node, the coil driver first, without waiting; from any thread.
+        """Send SIGTERM to every node, the coil driver first, without waiting; from any thread.
 
-        What is started from now on is told at once.
+        Children that are started later receive it at once.
         """
         with self._starting:
             self._ending = True
             _end([child for child in self._children.values() if child.is_node])
 
     def stop(self, names: Sequence[str], seconds: float = _END_S) -> None:
-        """SIGTERM the children of these `names`, the coil driver first, and see them end.
+        """Send SIGTERM to children, the coil driver first, and wait for their end.
 
-        What is no node, as an emulated amplifier, is told when the nodes have ended. What hangs
-        for `seconds` is killed.
+        Children that are no nodes, such as an emulated amplifier, receive it when the nodes have
+        ended. Children that hang are killed.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Names of the children.
+        seconds : float
+            Time [s] after which a child is killed.
         """
         children = [self._children[name] for name in names]
         for group in ([child for child in children if child.is_node],
@@ -201,7 +261,7 @@ class Graph:
             child.process.stdout.close()
 
     def _await_end(self, children: list[_Child], seconds: float) -> list[_Child]:
-        """Those that have not ended within that time."""
+        """Return the children that have not ended within a time."""
         deadline = time.monotonic() + seconds
         while alive := [child for child in children if child.process.poll() is None]:
             self.pump(0.02)
@@ -211,9 +271,7 @@ class Graph:
 
 
 def _reason(child: _Child) -> InputError:
-    """Why a child has ended before it was ready: what it says of one of its nodes, or its last
-    line.
-    """
+    """Return why a child ended before it was ready: its report on a node, or its last line."""
     said = [line.removeprefix(WORD) for line in child.said if line.startswith(WORD)]
     if not said:
         last = child.said[-1] if child.said else 'it printed nothing'
@@ -228,6 +286,6 @@ def _output(child: _Child) -> int:
 
 
 def _end(children: Sequence[_Child]) -> None:
-    """SIGTERM, the coil driver before all others."""
+    """Send SIGTERM, to the coil driver before all others."""
     for child in sorted(children, key=lambda child: child.name != 'coil_driver'):
         child.process.send_signal(signal.SIGTERM)

@@ -1,4 +1,4 @@
-"""Talking to a running graph from outside: arm, set parameters, send goals, watch its health."""
+"""Client of a running graph: arm, set parameters, send goals, watch its health."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from microbot_ros.nodes.base.participant import client_context
 from microbot_ros.nodes.client.rig_client import RigClient, Steps
 
 _ACKNOWLEDGED_S = 2.0
-"""How long a client waits at its end until what it sent has arrived."""
+"""Time [s] that a client waits at its end until its messages have arrived. Choice: half risks a
+lost message on a busy machine, twice delays the end of a command."""
 
 P = ParamSpec('P')
 T = TypeVar('T')
@@ -32,7 +33,23 @@ Tell = Callable[[bytes, str, dict[str, str]], None]
 
 
 def checked_namespace(name: str) -> str:
-    """A namespace by its `name`, with the slash before it; InputError for what cannot be one."""
+    """Return a namespace with its leading slash.
+
+    Parameters
+    ----------
+    name : str
+        Namespace with or without slashes.
+
+    Returns
+    -------
+    str
+        The namespace.
+
+    Raises
+    ------
+    InputError
+        If it is not valid.
+    """
     namespace = f'/{name.strip("/")}'
     try:
         validate_namespace(namespace)
@@ -44,7 +61,7 @@ def checked_namespace(name: str) -> str:
 
 def _spun(request: Callable[Concatenate[RigClient, P], Steps[T]],
           ) -> Callable[Concatenate[GraphClient, P], T]:
-    """A `request` of `RigClient` that returns its answer, and serves callbacks meanwhile."""
+    """Return a method of `RigClient` that waits for the answer and serves callbacks meanwhile."""
     @wraps(request)
     def performed(self: GraphClient, /, *args: P.args, **kwargs: P.kwargs) -> T:
         return self.perform(request(self.rig, *args, **kwargs))
@@ -52,9 +69,16 @@ def _spun(request: Callable[Concatenate[RigClient, P], Steps[T]],
 
 
 class GraphClient:
-    """A client of the graph with a node, `name`, of its own, beside those of one `namespace`.
+    """Client of the graph with its own node beside those of one namespace, as a context.
 
-    Use as a context. It asks by `rig`, a `RigClient`, and waits for the answers.
+    Requests are made by `rig`, a `RigClient`; it waits for the answers.
+
+    Parameters
+    ----------
+    name : str
+        Name of its node.
+    namespace : str
+        Namespace of the rig; '/' for the root.
     """
 
     def __init__(self, name: str = 'microbot', namespace: str = '/') -> None:
@@ -79,13 +103,32 @@ class GraphClient:
         self.node.destroy_node()
 
     def spin(self, seconds: float) -> None:
-        """Serve callbacks for so many `seconds`."""
+        """Serve callbacks.
+
+        Parameters
+        ----------
+        seconds : float
+            Time [s].
+        """
         deadline = time.monotonic() + seconds
         while (left := deadline - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
 
     def until(self, true: Callable[[], Any], seconds: float) -> bool:
-        """Serve callbacks until something is `true`, at most `seconds`; whether it is."""
+        """Serve callbacks until a condition is true.
+
+        Parameters
+        ----------
+        true : callable
+            The condition.
+        seconds : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        bool
+            Whether it became true.
+        """
         deadline = time.monotonic() + seconds
         while not true():
             left = deadline - time.monotonic()
@@ -95,12 +138,27 @@ class GraphClient:
         return True
 
     def runs(self, node: str) -> bool:
-        """Whether a node of that name runs in our namespace, as far as the graph is known."""
+        """Return whether a node runs in the client's namespace, as far as the graph is known.
+
+        Parameters
+        ----------
+        node : str
+            Name of the node.
+
+        Returns
+        -------
+        bool
+            Whether it runs.
+        """
         return self.node.get_namespace() in self.rig.namespaces_of(node)
 
     def watch_health(self, tell: Callable[[str, bytes, str, dict[str, str]], None]) -> None:
-        """Call `tell(node, level, sentence, values)` for every diagnostic status of a node in our
-        namespace.
+        """Watch the diagnostic status of all nodes in the client's namespace.
+
+        Parameters
+        ----------
+        tell : callable
+            Function that is called with node, level, sentence and values.
         """
         here = self.node.get_namespace()
 
@@ -113,13 +171,35 @@ class GraphClient:
         self.node.create_subscription(DiagnosticArray, '/diagnostics', heard, QoSProfile(depth=50))
 
     def watch_estimates(self, tell: Callable[[np.ndarray], None]) -> None:
-        """Call `tell(points)`, of type ESTIMATE, for every `model/state`."""
+        """Watch `model/state`.
+
+        Parameters
+        ----------
+        tell : callable
+            Function that is called with estimates (N,) of type ESTIMATE.
+        """
         self.node.create_subscription(
             PointCloud2, 'model/state',
             lambda message: tell(messages.estimates(message)), 10)
 
     def echo(self, seconds: float = 2.5) -> str:
-        """Send a message through the middleware and back; its name. InputError after `seconds`."""
+        """Send a message through the middleware and back.
+
+        Parameters
+        ----------
+        seconds : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        str
+            Name of the middleware.
+
+        Raises
+        ------
+        InputError
+            If it does not come back in time.
+        """
         heard: list[String] = []
         self.node.create_subscription(String, '~/echo', heard.append, 1)
         publisher = self.node.create_publisher(String, '~/echo', 1)
@@ -143,7 +223,18 @@ class GraphClient:
     send_plan = _spun(RigClient.send_plan)
 
     def perform(self, steps: Steps[T]) -> T:
-        """Serve callbacks while the `steps` wait; return what they end with."""
+        """Serve callbacks while the steps of a request wait.
+
+        Parameters
+        ----------
+        steps : Steps[T]
+            The steps.
+
+        Returns
+        -------
+        T
+            Their result.
+        """
         try:
             wait = next(steps)
             while True:
@@ -155,7 +246,13 @@ class GraphClient:
             steps.close()
 
     def watch_progress(self, tell: Tell) -> None:
-        """Call `tell(level, sentence, values)` several times a second for the controller's."""
+        """Watch the controller's progress, several times a second.
+
+        Parameters
+        ----------
+        tell : Tell
+            Function that is called with level, sentence and values.
+        """
         self._progress_watchers.append(tell)
 
     def _on_progress(self, message: DiagnosticStatus) -> None:

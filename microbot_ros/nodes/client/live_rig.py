@@ -1,4 +1,4 @@
-"""Whether a rig is live where a past one is to be played."""
+"""Search for a live rig where a recording is to be played."""
 
 from __future__ import annotations
 
@@ -13,21 +13,30 @@ from rclpy.task import Future
 from microbot_ros.nodes.base.lifecycle import RigNode
 
 ACTING = frozenset({'camera', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig'})
-"""Nodes that see or move particles. A recorder or a viewer may watch whatever is played."""
+"""Nodes that see or move particles. A recorder or a viewer may watch a playback."""
 _GONE_BY = ('camera/image_raw', 'particles', 'model/state', 'field/command', 'field/applied',
             'field/rotating')
+"""Topics on which acting nodes base their answers."""
 _ANSWER_SECONDS = 10.0
-"""A node that is just starting answers nothing yet; one that takes longer counts as live."""
+"""Time [s] after which a node without answer counts as live. Choice: a node that is just starting
+does not answer yet, and importing takes some seconds."""
 _NAMELESS = '_NODE_NAME_UNKNOWN_'
-"""What ROS calls a node that it has heard of but does not know yet."""
+"""Name that ROS uses for a node that it has discovered but not identified."""
 
 
 class LiveRig:
-    """Looks for live nodes that would feel what is played, or play into it.
+    """Search for live nodes that would receive a playback, or publish into it.
 
-    These are acting nodes of the player's namespace, or on the topics to play, and whoever else
-    publishes what acting nodes go by. A node that follows the player's clock (`use_sim_time`) is
-    not live, but for a coil driver: its port is as real as ever.
+    These are acting nodes of the player's namespace or on the topics to play, and all other
+    publishers of topics that acting nodes use. A node that follows the player's clock
+    (`use_sim_time`) is not live, except a coil driver: its port is real in any case.
+
+    Parameters
+    ----------
+    node : RigNode
+        The player.
+    topics : iterable of str
+        Topics to play.
     """
 
     def __init__(self, node: RigNode, topics: Iterable[str]) -> None:
@@ -38,7 +47,13 @@ class LiveRig:
         self._asked: dict[str, tuple[Client, Future | None]] = {}
 
     def look(self) -> tuple[str, bool]:
-        """The first node that is live, or ''; and whether all others are known not to be."""
+        """Search once.
+
+        Returns
+        -------
+        tuple[str, bool]
+            Name of the first live node, or ''; and whether all others are known not to be live.
+        """
         now = time.monotonic()
         here = self._candidates()
         for name in set(self._since) - here:
@@ -71,7 +86,7 @@ class LiveRig:
                 if (name, where) != (node.get_name(), namespace)}
 
     def _ask(self, name: str) -> bool:
-        """Ask a node for its clock, without waiting; whether it has answered."""
+        """Ask a node for its clock, without waiting; return whether it has answered."""
         if name.endswith(_NAMELESS):
             return False
         if name not in self._asked:

@@ -1,4 +1,4 @@
-"""The recent past of a running graph as a session, for looking at it while it goes on."""
+"""Recent past of a running graph as a session, to analyse it while it runs."""
 
 from __future__ import annotations
 
@@ -19,20 +19,31 @@ from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.session.mcap.from_recording import SERIES, commands_of
 
 _LIVE_SECONDS = 1.0
+"""Difference [s] between a stamp and this machine's clock up to which messages count as live.
+Choice: longer than any delay of a rig, shorter than the age of any recording."""
 
 _BACKLOG_SECONDS = 0.5
-"""What waited while nobody listened is taken in much less."""
+"""Time [s] to receive waiting messages. Choice: messages of minutes take much less."""
 
 
 _SAME_FIELD = 3e-5
-"""Fields [T] that are nearer than this are the same, read with an error."""
+"""Fields [T] closer than this count as equal. Choice: above the error of a field that is read
+back; half would store noise, twice would miss small steps."""
 
 
 class LiveSessionBuffer:
-    """Keeps the last `seconds` of the graph of a `client`: `particles`, the commanded field, how
-    fast it rolls, and whether the gate let it through. `applied`: in place of the commanded field
-    the one that is read back, as far as it differs from what was read before; not of rollers,
-    whose field goes round and round while they do what is commanded.
+    """Buffer of `particles`, the commanded field, its rotation, and whether the gate passed it.
+
+    Parameters
+    ----------
+    client : GraphClient
+        Client of the graph.
+    seconds : float
+        Time that is kept [s].
+    applied : bool
+        Whether to keep the field that is read back in place of the commanded one, if it differs
+        from the last. It has no effect for rollers, whose field rotates while they do what is
+        commanded.
     """
 
     def __init__(self, client: GraphClient, seconds: float, applied: bool = False) -> None:
@@ -50,7 +61,13 @@ class LiveSessionBuffer:
             subscribe(kind, topic, self._taker(topic, SERIES[topic][1]), 200)
 
     def conditions(self) -> Conditions:
-        """What the model node was told of particles and fluid."""
+        """Return the particles and the fluid according to the model node.
+
+        Returns
+        -------
+        Conditions
+            The conditions.
+        """
         told = self._client.get('model', 'propulsion', 'radius_um', 'viscosity_mPa_s',
                                 'temperature_K', 'reference_field_mT', 'height_um')
         return Conditions(
@@ -62,26 +79,32 @@ class LiveSessionBuffer:
 
     @property
     def span(self) -> float:
-        """How many seconds have been collected."""
+        """Time that has been collected [s]."""
         return self._frames[-1][0] - self._frames[0][0] if self._frames else 0.0
 
     @property
     def begin(self) -> float:
-        """The stamp [s] of the first frame that was collected; NaN without any."""
+        """Stamp [s] of the first frame that was collected; NaN without any."""
         return self._frames[0][0] if self._frames else math.nan
 
     def forget(self) -> None:
-        """Collect anew from now on, but for the commands still in force."""
+        """Restart the collection now, keeping the commands still in force."""
         self._client.spin(_BACKLOG_SECONDS)
         self._frames.clear()
 
     def go_on(self) -> None:
-        """Keep the last frame only, and the commands since: what comes goes on from there."""
+        """Keep only the last frame and the commands since; the collection continues from there."""
         while len(self._frames) > 1:
             self._frames.popleft()
 
     def session(self) -> Session:
-        """What was collected; times [s] count from the first frame of it."""
+        """Return the collection.
+
+        Returns
+        -------
+        Session
+            Session with times [s] from its first frame.
+        """
         origin = self._frames[0][0] if self._frames else 0.0
         empty = np.empty(0, PARTICLE)
         points = np.concatenate([empty, *(frame for _, frame in self._frames)])

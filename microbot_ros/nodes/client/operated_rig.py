@@ -1,4 +1,4 @@
-"""A rig as the cockpit's pages work it: what it tells, and what may be asked of it."""
+"""A rig as the cockpit's pages operate it: its state, and its commands."""
 
 from __future__ import annotations
 
@@ -34,17 +34,23 @@ _SERVICES: dict[str, type] = {
     **{f'{node}/get_parameters': GetParameters for node in ('controller', 'tracker', 'recorder')},
     **{f'{node}/set_parameters': SetParameters for node in ('controller', 'recorder', 'tracker')}}
 _LOOK_S, _LOOK_AROUND_S = 0.01, 1.0
-"""How often an answer is looked for; how often nodes that are not known yet."""
+"""Intervals [s] of checks for an answer, and for nodes that are not known yet. Choice: the first
+is not felt by a person, the second is that of diagnostics."""
 _CALIBRATION = ('pixel_size_um', 'rotation_deg', 'mirrored')
 
 T = TypeVar('T')
 
 
 class OperatedRig(RigView):
-    """What a `node` hears of its rig, and what pages may have done; the `Rig` of the server.
+    """State of a rig and commands of its pages; the `Rig` of the server.
 
-    All clients are made at the start, so that they are matched when they are needed. Coroutines
+    All clients are made at the start, so that they are connected when they are needed. Coroutines
     run in the server's thread, callbacks of ROS in the executor's.
+
+    Parameters
+    ----------
+    node : RigNode
+        Node of the cockpit.
     """
 
     def __init__(self, node: RigNode) -> None:
@@ -71,13 +77,13 @@ class OperatedRig(RigView):
         self._client.hear({pair.key: pair.value for pair in message.values})
 
     def _on_changes(self, event: ParameterEvent) -> None:
-        """In the executor's thread: a parameter of some node is another."""
+        """Note a change of the controller's parameters; called in the executor's thread."""
         place = self._node.get_namespace().rstrip('/')
         if event.node == f'{place}/controller':
             self._outdated = True
 
     async def _perform(self, steps: Steps[T]) -> T:
-        """Let the server go on while the `steps` wait; return what they end with."""
+        """Serve the event loop while the steps of a request wait; return their result."""
         try:
             true, seconds = next(steps)
             while True:
@@ -100,14 +106,20 @@ class OperatedRig(RigView):
     # What the server asks -------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """All that is known: a part by its name; None for what is not."""
+        """Return the whole state.
+
+        Returns
+        -------
+        dict of str to object
+            Part by its name; None for an unknown part.
+        """
         controller = self.controller()
         if controller is not None and self._described is not None:
             controller['parameters'] = self._described.of(controller['name'])
         return {**super().state(), 'controller': controller}
 
     async def keep_up(self) -> None:
-        """Ask for parameters where they are not known, or not any more, for ever."""
+        """Request unknown or outdated parameters in an endless loop."""
         while True:
             with suppress(RefusedError):
                 await self._catch_up()
@@ -127,28 +139,60 @@ class OperatedRig(RigView):
                 await self._perform(self._client.get('tracker', *_CALIBRATION)))
 
     async def stop(self) -> Answer:
-        """Zero the coils and disarm. It does not ask whether the driver is there first."""
+        """Zero the coils and disarm, without checking first whether the driver is present.
+
+        Returns
+        -------
+        Answer
+            Answer of the driver.
+        """
         return await self._perform(self._client.stop(now=True))
 
     async def arm(self) -> Answer:
-        """Let currents flow; without an answer the driver is disarmed.
+        """Arm; without an answer the driver is disarmed.
 
-        The driver is there already, or refused: else STOP could come before it was found.
+        A driver that is not present is refused at once: otherwise STOP could come before it was
+        found.
+
+        Returns
+        -------
+        Answer
+            Answer of the driver.
         """
         return await self._perform(self._client.arm(now=True))
 
     def attend(self) -> None:
-        """Tell the driver that an operator is there."""
+        """Report the presence of an operator to the driver."""
         self._heartbeat.publish(Empty())
 
     def stick(self, x: float, y: float) -> None:
-        """Say once where the stick is, `x` and `y` of −1 to 1."""
+        """Publish the position of the joystick once.
+
+        Parameters
+        ----------
+        x, y : float
+            Position from −1 to 1.
+        """
         now = self._node.get_clock().now().to_msg()
         self._joy.publish(Joy(header=Header(stamp=now, frame_id=messages.WORKSPACE), axes=[x, y]))
 
     async def goal(self, x_um: float, y_um: float, particle: int | None) -> Answer:
-        """One goal at `x_um`, `y_um`, in place of those there are; or that of one `particle`
-        beside the others'."""
+        """Send one goal in place of the present ones, or the goal of one particle.
+
+        The goals of the other particles stay.
+
+        Parameters
+        ----------
+        x_um, y_um : float
+            Position [µm].
+        particle : int or None
+            Number of the particle; None for any.
+
+        Returns
+        -------
+        Answer
+            Answer of the controller.
+        """
         if self._taken_path:
             await self._hand_over(self._client.send_path([]))
         if particle is None:
@@ -159,19 +203,36 @@ class OperatedRig(RigView):
         return await self._send_there(self._client.send_goals([*goals.values()], [*goals]))
 
     async def clear_goals(self) -> Answer:
-        """No goal, and no path."""
+        """Cancel all goals and the path.
+
+        Returns
+        -------
+        Answer
+            Answer of the controller.
+        """
         await self._hand_over(self._client.send_path([]))
         return await self._hand_over(self._client.send_goals([]))
 
     async def path(self, points_um: list[tuple[float, float]]) -> Answer:
-        """A path to follow, through `points_um`, in place of the goals there are."""
+        """Send a path in place of the goals.
+
+        Parameters
+        ----------
+        points_um : list of tuple[float, float]
+            Points of the path [µm].
+
+        Returns
+        -------
+        Answer
+            Answer of the controller.
+        """
         if self.goals():
             await self._hand_over(self._client.send_goals([]))
         return await self._send_there(
             self._client.send_path([_metres(x, y) for x, y in points_um]))
 
     async def _hand_over(self, steps: Steps[Taken]) -> Answer:
-        """One after the other: the controller tells only of what it took last."""
+        """Send one input after the other: the controller reports only the last one."""
         async with self._handing_over:
             return f'{(await self._perform(steps)).controller} has it'
 
@@ -180,12 +241,36 @@ class OperatedRig(RigView):
         return taken if self.armed else f'{taken}; not armed: nothing moves until it is'
 
     async def switch_controller(self, name: str) -> Answer:
-        """Let the controller of that `name` drive."""
+        """Switch to another controller.
+
+        Parameters
+        ----------
+        name : str
+            Name of the controller.
+
+        Returns
+        -------
+        Answer
+            Answer for the page.
+        """
         await self._perform(self._client.switch(name))
         return f'{name} drives'
 
     async def set(self, name: str, value: Any) -> Answer:
-        """Change the parameter of that `name`, one that the page was told of, to a `value`."""
+        """Change a parameter of the controller that the page has received.
+
+        Parameters
+        ----------
+        name : str
+            Name of the parameter.
+        value : object
+            Its value.
+
+        Returns
+        -------
+        Answer
+            Answer for the page.
+        """
         if self._described is None:
             raise RefusedError('the parameters of the controller are not known yet')
         try:
@@ -196,8 +281,23 @@ class OperatedRig(RigView):
         return f'{name} is {value} now'
 
     async def teach(self, like: bool, x: float, y: float, kind: str | None, stamp: int) -> Answer:
-        """Show the tracker an example at (x, y) [px] of the frame with a `stamp` [ns]: one `like`
-        a `kind` to follow, or unlike it.
+        """Show the tracker an example.
+
+        Parameters
+        ----------
+        like : bool
+            Whether it shows the kind to follow, or not.
+        x, y : float
+            Position [px].
+        kind : str or None
+            Name of the kind; None for the one that fits best.
+        stamp : int
+            Stamp of the frame [ns].
+
+        Returns
+        -------
+        Answer
+            Answer of the tracker.
         """
         return await self._perform(self._client.teach(like, x, y, kind, stamp))
 
@@ -205,7 +305,20 @@ class OperatedRig(RigView):
         self._client.taught = message
 
     async def record(self, on: bool, title: str) -> Answer:
-        """Begin a recording under a `title` if it is to be `on`, or end it."""
+        """Begin or end a recording.
+
+        Parameters
+        ----------
+        on : bool
+            Whether to begin.
+        title : str
+            Title of the recording.
+
+        Returns
+        -------
+        Answer
+            Answer of the recorder.
+        """
         if on and not self._is_recording():
             await self._perform(self._client.set('recorder', title=title, notes=''))
         said = await self._perform(self._client.record(on))
@@ -215,7 +328,18 @@ class OperatedRig(RigView):
         return said
 
     async def note(self, text: str) -> Answer:
-        """A line of `text` more, with the time of day."""
+        """Add a line to the notes of the recording, with the time of day.
+
+        Parameters
+        ----------
+        text : str
+            The line.
+
+        Returns
+        -------
+        Answer
+            Answer for the page.
+        """
         if not self._is_recording():
             raise RefusedError('nothing is being recorded')
         async with self._noting:

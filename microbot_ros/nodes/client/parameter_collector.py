@@ -1,4 +1,4 @@
-"""What a running graph was told: the parameters of its nodes, asked for once each."""
+"""Parameters of the nodes of a running graph, requested once each."""
 
 from __future__ import annotations
 
@@ -17,14 +17,22 @@ from microbot_ros.nodes.base.lifecycle import RigNode
 from microbot_ros.nodes.base.names import NODES
 
 _PATIENCE = 5.0
-"""After this [s] without an answer it is asked again: a node that is just starting may have heard
-the question before its answer could reach anybody."""
+"""Time [s] without an answer after which a node is asked again: a node that is just starting may
+have received the question before its answer could reach anybody. Choice: longer than any answer
+takes."""
 
 
 class ParameterCollector:
-    """Asks the nodes of a rig for their parameters as they come; `told(node, values)` each time.
+    """Collector that requests the parameters of a rig's nodes as they appear, without waiting.
 
-    Without waiting: answers arrive by the executor of the node that asks.
+    Answers arrive by the executor of the requesting node.
+
+    Parameters
+    ----------
+    node : RigNode
+        Requesting node.
+    told : callable
+        Function that is called with the name of a node and its parameters.
     """
 
     def __init__(self, node: RigNode, told: Callable[[str, dict[str, Any]], None]) -> None:
@@ -35,11 +43,11 @@ class ParameterCollector:
 
     @property
     def answered(self) -> set[str]:
-        """The nodes that have told theirs."""
+        """Nodes that have answered."""
         return {name for name, again in self._again.items() if again == math.inf}
 
     def look(self) -> None:
-        """Ask those that are there and have not answered yet; get ready to ask one more.
+        """Ask nodes that are present and have not answered yet; prepare one more client.
 
         One at a time, since the middleware delivers nothing while it makes a client: 10 ms.
         """

@@ -1,4 +1,4 @@
-"""What may be asked of a running rig, for commands, the cockpit's page and discovery alike."""
+"""Requests to a running rig, common to commands, the cockpit's page and discovery."""
 
 from __future__ import annotations
 
@@ -31,29 +31,41 @@ from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes.base import messages
 
 FIND_S = 5.0
-"""How long a node may take to be seen. What is said to a process that has just started may be
-lost, and is said again after 0.5 s."""
+"""Time [s] in which a node must be discovered. Choice: a message to a process that has just
+started may be lost and is repeated after 0.5 s, so ten attempts fit."""
 ASK_S = (3.0, 3.0, 3.0, 3.0)
-"""A request is sent again after each of these [s] without an answer, which is longer than any
-service takes for its work. After the last the service counts as silent."""
+"""Times [s] after which a request without answer is sent again. Choice: longer than any service
+takes for its work. After the last the service counts as silent."""
 ARM_S = (12.0,)
-"""A request to arm is sent once: a second one could arm after a STOP that came in between."""
+"""Time [s] for the only request to arm: a second one could arm after a STOP in between. Choice:
+longer than the driver's own limit of 10 s."""
 STOP_S = (0.3, 0.7, 1.0, 1.0)
-"""The driver sends zero when it takes a request to stop, and answers once that is read back,
-within `READ_BACK_S`."""
+"""Times [s] after which a request to stop is repeated. Choice: the driver sends zero when it
+receives a request, and answers once that is read back, within `READ_BACK_S`."""
 TAKE_S, REPEAT_S = 5.0, 0.3
-"""How long a controller may take to have goals, a path or a plan; how often they are sent."""
+"""Time [s] in which a controller must accept goals, a path or a plan, and interval at which they
+are sent. Choice: a controller reports five times a second."""
 MATCH_S = 2.0
+"""Time [s] for all listeners to be connected. Choice: discovery takes less; a listener that is
+later misses one message."""
 
 T = TypeVar('T')
 Wait = tuple[Callable[[], Any], float]
 Steps = Generator[Wait, bool, T]
-"""The work on a request. It yields what it waits for and for how many seconds at most, and is sent
-whether that came true. It ends with the answer."""
+"""Work on a request: a generator that yields conditions to wait for, with the longest time [s] of
+each. It is sent whether the condition came true, and returns the answer."""
 
 
 class RefusedError(RigError):
-    """A `node` refused what it was asked, for a `reason` in its own words."""
+    """Error of a node that refused a request.
+
+    Parameters
+    ----------
+    node : str
+        Name of the node.
+    reason : str
+        Why, in its own words.
+    """
 
     def __init__(self, node: str, reason: str) -> None:
         self.reason = reason or 'refused; no reason given'
@@ -61,25 +73,37 @@ class RefusedError(RigError):
 
 
 class NoAnswerError(RigError):
-    """A node is there and does not answer: whether it did what was asked is not known."""
+    """Error of a node that is present and does not answer: whether it acted is unknown."""
 
 
 @dataclass(frozen=True)
 class Taken:
-    """What a controller said of goals or a path that it took: their stamp [s], and which one it
-    is."""
+    """Answer of a controller that accepted goals or a path.
+
+    Attributes
+    ----------
+    stamp : float
+        Their stamp [s].
+    controller : str
+        Name of the controller.
+    """
 
     stamp: float
     controller: str
 
 
 class RigClient:
-    """Asks the nodes in the namespace of a `node`, which somebody else spins.
+    """Client of the nodes in the namespace of a node that the caller spins.
 
     Each request is a generator (`Steps`), so that it can wait in a command's own thread or in an
-    event loop. It ends with the answer, or raises RigError: a node is not there, is silent or
-    refuses. `services` and `publishers` hold what was made so far, by name; `taught` is the newest
-    message of `tracker/taught`.
+    event loop. It returns the answer, or raises RigError: a node is missing, silent or refuses.
+    `services` and `publishers` hold those made so far, by name; `taught` is the newest message of
+    `tracker/taught`.
+
+    Parameters
+    ----------
+    node : Node
+        Node in the namespace of the rig.
     """
 
     def __init__(self, node: Node) -> None:
@@ -91,14 +115,34 @@ class RigClient:
         self._node = node
 
     def hear(self, progress: dict[str, str]) -> None:
-        """Take in what the controller says of its `progress`."""
+        """Receive a report of the controller.
+
+        Parameters
+        ----------
+        progress : dict of str to str
+            Its values.
+        """
         self.progress, self._progress_s = progress, time.monotonic()
 
     def arm(self, now: bool = False) -> Steps[str]:
-        """Arm the gate of the coil driver; return its answer.
+        """Arm the gate of the coil driver.
 
-        Without an answer the driver is asked to disarm. If it is to be `now`, a driver that is
-        not seen yet is not waited for.
+        Without an answer the driver is asked to disarm.
+
+        Parameters
+        ----------
+        now : bool
+            Whether not to wait for a driver that is not seen yet.
+
+        Returns
+        -------
+        Steps[str]
+            Answer of the driver.
+
+        Raises
+        ------
+        RigError
+            If the driver is missing, silent or refuses.
         """
         try:
             return (yield from self._set_gate(True, 0.0 if now else FIND_S))
@@ -110,10 +154,24 @@ class RigClient:
             raise RigError(f'{silence}; {disarmed}') from None
 
     def stop(self, now: bool = False) -> Steps[str]:
-        """Zero the coils and disarm; return the driver's answer, which begins with a `Zero`.
+        """Zero the coils and disarm.
 
-        The answer to any of the requests counts. If it is to be `now`, the driver is asked
-        whether it is seen or not.
+        The answer to any of the requests counts.
+
+        Parameters
+        ----------
+        now : bool
+            Whether to ask the driver even if it is not seen.
+
+        Returns
+        -------
+        Steps[str]
+            Answer of the driver, which begins with a `Zero`.
+
+        Raises
+        ------
+        RigError
+            If the driver is missing, silent or refuses.
         """
         try:
             return (yield from self._set_gate(False, None if now else FIND_S))
@@ -122,10 +180,20 @@ class RigClient:
                            ) from None
 
     def record(self, begin: bool) -> Steps[str]:
-        """End a recording or `begin` one; return what the recorder answered.
+        """Begin or end a recording.
 
-        That it is already so is a refusal of the first request only: a later one is sent because
-        the answer to the first was lost.
+        If the recording is in this state already, only the first request is refused: a later one
+        is sent because the answer to the first was lost.
+
+        Parameters
+        ----------
+        begin : bool
+            Whether to begin.
+
+        Returns
+        -------
+        Steps[str]
+            Answer of the recorder.
         """
         answer, first = yield from self._ask(
             SetBool, 'recorder/record', SetBool.Request(data=begin))
@@ -137,10 +205,28 @@ class RigClient:
 
     def teach(self, like: bool, x: float, y: float, kind: str | None, stamp_ns: int,
               ) -> Steps[str]:
-        """Show the tracker an example and return what it learned; RefusedError with its reason.
+        """Show the tracker an example.
 
-        The example is at (x, y) [px] of the frame with the stamp `stamp_ns` [ns]. It is `like` a
-        `kind` to follow, None for the kind that fits best, or unlike it.
+        Parameters
+        ----------
+        like : bool
+            Whether it shows the kind to follow, or not.
+        x, y : float
+            Position [px].
+        kind : str or None
+            Name of the kind; None for the one that fits best.
+        stamp_ns : int
+            Stamp of the frame [ns].
+
+        Returns
+        -------
+        Steps[str]
+            What the tracker learned.
+
+        Raises
+        ------
+        RefusedError
+            If the tracker learned nothing, with its reason.
         """
         yield from self.set('tracker', example_kind=kind or '')
         topic = 'tracker/like' if like else 'tracker/unlike'
@@ -163,13 +249,44 @@ class RigClient:
         return str(self.taught.message)
 
     def switch(self, controller: str) -> Steps[None]:
-        """Let a `controller` drive. InputError with the reason if it is refused."""
+        """Switch to a controller.
+
+        Parameters
+        ----------
+        controller : str
+            Name of the controller.
+
+        Returns
+        -------
+        Steps[None]
+            The request.
+
+        Raises
+        ------
+        InputError
+            If it is refused, with the reason.
+        """
         return self.set('controller', controller=controller)
 
     def set(self, node: str, **values: Any) -> Steps[None]:
-        """Set parameters of a `node`, again while it still takes the `values` aside.
+        """Set parameters of a node, again while it is still busy with them.
 
-        InputError with the node's reason if it refuses a value.
+        Parameters
+        ----------
+        node : str
+            Name of the node.
+        **values : object
+            Values by name.
+
+        Returns
+        -------
+        Steps[None]
+            The request.
+
+        Raises
+        ------
+        InputError
+            If the node refuses a value, with its reason.
         """
         try:
             request = SetParameters.Request(parameters=[
@@ -190,14 +307,38 @@ class RigClient:
                 raise InputError(node, result.reason or f'{name} was refused')
 
     def get(self, node: str, *names: str) -> Steps[dict[str, Any]]:
-        """Values of parameters of a `node`, by their `names`."""
+        """Get parameters of a node.
+
+        Parameters
+        ----------
+        node : str
+            Name of the node.
+        *names : str
+            Names of the parameters.
+
+        Returns
+        -------
+        Steps[dict of str to object]
+            Values by name.
+        """
         answer, _ = yield from self._ask(
             GetParameters, f'{node}/get_parameters', GetParameters.Request(names=list(names)))
         return {name: parameter_value_to_python(value)
                 for name, value in zip(names, answer.values, strict=True)}
 
     def describe(self, node: str) -> Steps[list[ParameterDescriptor]]:
-        """The descriptors of all parameters of a `node`."""
+        """Get the descriptors of all parameters of a node.
+
+        Parameters
+        ----------
+        node : str
+            Name of the node.
+
+        Returns
+        -------
+        Steps[list of ParameterDescriptor]
+            The descriptors.
+        """
         listed, _ = yield from self._ask(
             ListParameters, f'{node}/list_parameters', ListParameters.Request())
         answer, _ = yield from self._ask(
@@ -207,9 +348,19 @@ class RigClient:
 
     def send_goals(self, positions: Sequence[tuple[float, float]],
                    particles: Sequence[int] | None = None) -> Steps[Taken]:
-        """Send `positions` (x, y) [m] to go to, in order, until the controller has taken them.
+        """Send goals, in order, until the controller has accepted them.
 
-        With `particles` the goal of each of those; no position cancels.
+        Parameters
+        ----------
+        positions : sequence of tuple[float, float]
+            Positions (x, y) [m]; none cancels.
+        particles : sequence of int or None
+            Particle of each goal; None for any.
+
+        Returns
+        -------
+        Steps[Taken]
+            Answer of the controller.
         """
         xy, stamp = np.array(positions, float).reshape(-1, 2), self._now()
         if particles is None:
@@ -219,8 +370,17 @@ class RigClient:
         return self._hand_over('particle_goals', messages.cloud(goals, stamp), 'goals')
 
     def send_path(self, positions: Sequence[tuple[float, float]]) -> Steps[Taken]:
-        """Send `positions` (x, y) [m] as a path to follow, until the controller has taken it; no
-        position cancels.
+        """Send a path until the controller has accepted it.
+
+        Parameters
+        ----------
+        positions : sequence of tuple[float, float]
+            Positions (x, y) [m]; none cancels.
+
+        Returns
+        -------
+        Steps[Taken]
+            Answer of the controller.
         """
         array = messages.poses(np.array(positions, float).reshape(-1, 2),
                                np.zeros(len(positions)), self._now())
@@ -228,23 +388,45 @@ class RigClient:
             PoseStamped(header=array.header, pose=pose) for pose in array.poses]), 'path')
 
     def send_plan(self, commands: Commands) -> Steps[Taken]:
-        """Send a plan, whose last row is its end, until the controller has taken it."""
+        """Send a plan until the controller has accepted it.
+
+        Parameters
+        ----------
+        commands : Commands
+            The plan; its last row is its end.
+
+        Returns
+        -------
+        Steps[Taken]
+            Answer of the controller.
+        """
         return self._hand_over('field/plan', messages.plan(commands, self._now()), 'plan')
 
     def _now(self) -> Time:
         return self._node.get_clock().now().to_msg()
 
     def namespaces_of(self, node: str) -> list[str]:
-        """The namespaces in which a `node` of that name runs, as far as the graph is known."""
+        """Return the namespaces in which a node runs, as far as the graph is known.
+
+        Parameters
+        ----------
+        node : str
+            Name of the node.
+
+        Returns
+        -------
+        list of str
+            Namespaces.
+        """
         return [namespace for name, namespace in self._node.get_node_names_and_namespaces()
                 if name == node]
 
     def _hand_over(self, topic: str, message: Any, what: str) -> Steps[Taken]:
-        """Publish to the controller, again and again, until it says that it has this stamp.
+        """Publish to the controller repeatedly until it reports this stamp.
 
-        RefusedError with its reason where it refuses. That somebody listens says nothing: it may
-        be a recorder. To be told twice changes nothing for a controller, whose goals are the same
-        then.
+        RefusedError with its reason if it refuses. The presence of a listener proves nothing: it
+        may be a recorder. A repetition changes nothing for a controller, as its goals are the
+        same.
         """
         stamp, began = messages.to_seconds(message.header.stamp), time.monotonic()
         took, refused = f'{what}_stamp_s', 'refused_stamp_s'
@@ -280,7 +462,7 @@ class RigClient:
 
     def _find(self, node: str, true: Callable[[], bool], lack: str, seconds: float,
               ) -> Steps[None]:
-        """Wait until it is true of a node; RigError with what is known of it otherwise."""
+        """Wait for a condition on a node; RigError with what is known of the node otherwise."""
         if (yield true, seconds):
             return
         here, places = self._node.get_namespace(), self.namespaces_of(node)
@@ -306,7 +488,7 @@ class RigClient:
         return self.services[name]
 
     def _ask(self, kind: type, name: str, request: Any) -> Steps[tuple[Any, bool]]:
-        """Find the service `name` and send it a request, see `_send`."""
+        """Find a service and send it a request, see `_send`."""
         node = name.rpartition('/')[0]
         try:
             service = self._service(kind, name)
@@ -317,10 +499,10 @@ class RigClient:
 
     def _send(self, node: str, service: Client, request: Any, again_s: Sequence[float],
               ) -> Steps[tuple[Any, bool]]:
-        """Return the answer to a request, and whether it is that to the first one sent.
+        """Return the answer to a request, and whether it belongs to the first attempt.
 
-        A server that does not know yet where to send an answer drops it: the request is sent
-        again after each of `again_s` but the last. NoAnswerError without an answer.
+        A server that does not know yet where to send an answer drops it: the request is sent again
+        after each of `again_s` but the last. NoAnswerError without an answer.
         """
         asked: list[Future] = []
         try:
@@ -336,7 +518,7 @@ class RigClient:
 
 
 def _done(node: str, answer: Any) -> str:
-    """What a `node` said that it has done; RefusedError with its reason where it has not."""
+    """Return the answer of a node; RefusedError with its reason if it refused."""
     if not answer.success:
         raise RefusedError(node, answer.message)
     return str(answer.message)

@@ -1,4 +1,4 @@
-"""What a rig says of itself, the newest of each, as the cockpit's page is to have it."""
+"""Newest reports of a rig, as the cockpit's page shows them."""
 
 from __future__ import annotations
 
@@ -35,22 +35,26 @@ from microbot_ros.session.replay.log import header_stamp_ns
 from microbot_ros.tracking import ImageToWorkspace
 
 _NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+"""Receive the newest message only. Choice: a page has no use for older ones."""
 _OFTEN: dict[str, type] = {
     'model/state': PointCloud2, 'field/command': Vector3Stamped, 'field/rotating': TwistStamped,
     'field/applied': MagneticField,
     'field/measured': MagneticField, 'coils/applied': JointState, 'coils/measured': JointState,
     'coil_driver/latency': TimeReference}
-"""What is said many times a second: kept as it came, and read when a state is made of it."""
+"""Topics with many messages a second: kept as received, and read when a state is made from
+them."""
 
 _SILENCE_S = 3.0
-"""A node says how it is once a second; one that is silent for so long is not there."""
+"""Time [s] of silence after which a node counts as missing. Choice: three reports at 1 Hz."""
 _FRESH_S = 1.0
-"""What is said often counts for so long."""
+"""Time [s] for which a frequent message is valid. Choice: many periods; a page would show older
+values as present."""
 _PICTURE_S = 0.5
-"""Without a picture for so long, particles are shown by themselves."""
-_PERIOD_S = 1 / 30
+"""Time [s] without a picture after which particles are shown alone. Choice: several pictures at 30
+Hz."""
+_PERIOD_S = 1 / 30  # choice: the rate of the pictures
 _KEPT = 64
-"""Frames whose particles are waited for."""
+"""Number of frames whose particles or picture are awaited. Choice: one second at 60 Hz."""
 
 _UNKNOWN = re.compile(r'particles? ([\d, ]+): ([^;]*), so v and φ are not known')
 _KIND = np.dtype([('kind', '<u4')])
@@ -58,10 +62,15 @@ _LEVELS = {b'\0': 'ok', b'\1': 'warn', b'\2': 'error', b'\3': 'stale'}
 
 
 class RigView:
-    """Listens by a `node` to all that its rig tells; makes the page's state of it.
+    """Listener to all reports of a rig, which makes the page's state from them.
 
-    What is told often is listened to only while somebody looks. Subscriptions come and go in the
-    executor's thread, `attend`; a state is made in any.
+    Frequent topics are subscribed to only while a page is open. Subscriptions come and go in the
+    executor's thread (`update_subscriptions`); a state is made in any thread.
+
+    Parameters
+    ----------
+    node : RigNode
+        Node of the cockpit.
     """
 
     def __init__(self, node: RigNode) -> None:
@@ -86,7 +95,7 @@ class RigView:
         self._picture_s, self._picture_stamp = -math.inf, 0
         self._told_s = -math.inf
         self.kinds: list[str] = []
-        """The names of the kinds that the tracker was taught, by their numbers."""
+        """Names of the kinds that the tracker was taught, by their numbers."""
         self._listen()
 
     # In the executor's thread ---------------------------------------------------------------
@@ -104,15 +113,29 @@ class RigView:
         node.subscribe(Path, 'controller/path', self._on_path, LATCHED)
 
     def watch(self, picture: PictureListener, particles: ParticleListener) -> None:
-        """From now on tell each `picture`, and the `particles` in it."""
+        """Set the listeners of pictures and particles.
+
+        Parameters
+        ----------
+        picture : PictureListener
+            Function that is called with each picture.
+        particles : ParticleListener
+            Function that is called with the particles in it.
+        """
         self._picture, self._particles = picture, particles
 
     def look(self, wanted: bool) -> None:
-        """Whether anybody looks, if it is `wanted`; from any thread."""
+        """Set whether a page is open; callable from any thread.
+
+        Parameters
+        ----------
+        wanted : bool
+            Whether one is.
+        """
         self._wanted = wanted
 
     def update_subscriptions(self) -> None:
-        """Listen to what is told often if somebody looks, and not if nobody does."""
+        """Subscribe to frequent topics if a page is open, and unsubscribe if none is."""
         if self._wanted and not self._looking:
             create = self._node.create_subscription
             self._looking = [
@@ -125,13 +148,13 @@ class RigView:
         self._ask_size()
 
     def close(self) -> None:
-        """Listen to nothing that is told often."""
+        """Unsubscribe from all frequent topics."""
         for subscription in self._looking:
             self._node.destroy_subscription(subscription)
         self._looking = []
 
     def _ask_size(self) -> None:
-        """Hear how large the full picture is, once: a camera says it with every frame."""
+        """Receive the size of the full picture once: a camera publishes it with every frame."""
         if self._size is None and self._looking and self._asking_size is None:
             self._asking_size = self._node.create_subscription(
                 CameraInfo, 'camera/camera_info', self._on_camera_info, _NEWEST)
@@ -181,7 +204,7 @@ class RigView:
         self._particles(particles_message(stamp, points, kinds, self._camera))
 
     def _kinds_of(self, message: PointCloud2) -> list[str | None]:
-        """The kind of each particle, where the tracker tells kinds apart and has named it."""
+        """Return the kind of each particle, if the tracker distinguishes and names kinds."""
         if all(field.name != 'kind' for field in message.fields):
             return [None] * (message.width * message.height)
         numbers = messages.points(message, _KIND)['kind'].tolist()
@@ -233,7 +256,13 @@ class RigView:
     # In any thread --------------------------------------------------------------------------
 
     def use_calibration(self, tracker: Mapping[str, Any]) -> None:
-        """Know from the parameters of the `tracker` how large a pixel is, and how it lies."""
+        """Derive size and orientation of a pixel from the parameters of the tracker.
+
+        Parameters
+        ----------
+        tracker : mapping of str to object
+            Parameters by name.
+        """
         if self._size is None:
             return
         self._camera = ImageToWorkspace.of_tracker(tracker, *self._size)
@@ -244,8 +273,13 @@ class RigView:
         return self._camera is not None or self._size is None
 
     def camera(self) -> dict[str, Any] | None:
-        """Size of the full picture and of a pixel, and how it lies: the rows a, b, c of `to_um`
-        give a x + b y + c [µm] of the pixel x, y. None until all are known.
+        """Return the geometry of the picture.
+
+        Returns
+        -------
+        dict of str to object or None
+            Size of the full picture and of a pixel, and the map `to_um`, whose rows a, b, c give a
+            x + b y + c [µm] of the pixel x, y. None until all are known.
         """
         known = self._camera
         if known is None:
@@ -254,16 +288,39 @@ class RigView:
                 'pixel_size_um': round(known.pixel_size * 1e6, 9), 'to_um': _to_um(known)}
 
     def progress(self, what: str) -> str:
-        """What the controller said last under the name `what`; '' where it is silent."""
+        """Return a value of the controller's last report.
+
+        Parameters
+        ----------
+        what : str
+            Name of the value.
+
+        Returns
+        -------
+        str
+            '' if the controller is silent.
+        """
         heard_s, values = self._progress
         return values.get(what, '') if time.monotonic() - heard_s <= _SILENCE_S else ''
 
     def goals(self) -> list[dict[str, Any]]:
-        """The goals that the controller has, whoever sent them."""
+        """Return the goals of the controller, from any sender.
+
+        Returns
+        -------
+        list of dict of str to object
+            One dictionary per goal.
+        """
         return self._taken_goals
 
     def state(self) -> dict[str, Any]:
-        """All but the parameters: a part by its name; None for what is not known."""
+        """Return the state without the parameters.
+
+        Returns
+        -------
+        dict of str to object
+            Part by its name; None for an unknown part.
+        """
         rig, sentence, age = self._rig()
         return {
             'rig': rig, 'sentence': sentence, 'zero': self._zero(rig),
@@ -274,7 +331,13 @@ class RigView:
             'health': self._nodes(), 'verdict': self._verdict}
 
     def controller(self) -> dict[str, Any] | None:
-        """Who drives, and where to; None where nobody says so."""
+        """Return the active controller and its goals.
+
+        Returns
+        -------
+        dict of str to object or None
+            None if the controller is silent.
+        """
         name = self.progress('controller')
         if not name:
             return None
@@ -288,18 +351,18 @@ class RigView:
 
     @property
     def armed(self) -> bool:
-        """Whether the coil driver says that currents may flow."""
+        """Whether the coil driver reports that currents may flow."""
         return self._rig()[0] == 'armed'
 
     def _rig(self) -> tuple[str, str, float]:
-        """armed, disarmed, fault or unknown; in a sentence; the age of what is known [s]."""
+        """Return armed, disarmed, fault or unknown; a sentence; the age of the report [s]."""
         told_s, status, values = self._health.get(
             'coil_driver', (-math.inf, DiagnosticStatus(), {}))
         changed_s, armed = self._armed or (-math.inf, values.get('armed') == 'True')
         heard_s = max(told_s, changed_s, self._raw.get('coils/measured', (-math.inf,))[0])
         age = time.monotonic() - heard_s
         if not age <= _SILENCE_S:
-            return 'unknown', 'the coil driver says nothing', age
+            return 'unknown', 'the coil driver reports nothing', age
         if changed_s > told_s:
             return ('armed', 'armed', age) if armed else ('disarmed', 'disarmed', age)
         if status.level == b'\2':
@@ -307,14 +370,16 @@ class RigView:
         return 'armed' if armed else 'disarmed', status.message, age
 
     def _zero(self, rig: str) -> str | None:
-        """What the driver knows of a zero: 'confirmed', 'sent' or 'unreachable'; None while the
-        `rig` is armed or the driver is silent."""
+        """Return the state of a zero: 'confirmed', 'sent' or 'unreachable'.
+
+        None while the rig is armed or the driver is silent.
+        """
         told_s, _, values = self._health.get('coil_driver', (-math.inf, None, {}))
         fresh = time.monotonic() - told_s <= _SILENCE_S
         return zero_in(values.get('zero', '')) if fresh and rig != 'armed' else None
 
     def _read(self, topic: str) -> Any:
-        """What was said last on a topic, if that is still true; else None."""
+        """Return the last message on a topic if it is still valid; else None."""
         heard_s, data = self._raw.get(topic, (-math.inf, b''))
         if not time.monotonic() - heard_s <= _FRESH_S:
             return None
@@ -333,8 +398,14 @@ class RigView:
         return _finite(1e3 * (self._node.seconds() - 1e-9 * self._picture_stamp))
 
     def recording(self) -> dict[str, Any] | None:
-        """Whether it records, for how long [s], of what, and what was lost; None without a
-        recorder."""
+        """Return the state of the recorder.
+
+        Returns
+        -------
+        dict of str to object or None
+            Whether it records, for how long [s], its title, and how much was lost; None without a
+            recorder.
+        """
         told_s, _, values = self._health.get('recorder', (-math.inf, None, {}))
         if not time.monotonic() - told_s <= _SILENCE_S:
             return None
@@ -380,7 +451,7 @@ class RigView:
             'reason': reasons.get(int(p['id']))} for p in points]
 
     def _nodes(self) -> list[dict[str, str]]:
-        """How each node is, those that have gone silent too."""
+        """Return the state of each node, including nodes that have gone silent."""
         now, found = time.monotonic(), []
         for name, (told_s, status, _) in sorted(self._health.items()):
             silent = now - told_s > _SILENCE_S
@@ -392,8 +463,24 @@ class RigView:
 
 def particles_message(stamp: int, points: np.ndarray, kinds: list[str | None],
                       camera: ImageToWorkspace | None) -> dict[str, Any]:
-    """`points` (N,) of type PARTICLE, of `kinds` (N,), in the picture of a `stamp` [ns] for the
-    page; without a `camera` not in pixels."""
+    """Return particles as the page receives them.
+
+    Parameters
+    ----------
+    stamp : int
+        Stamp of the picture [ns].
+    points : ndarray, shape (N,)
+        PARTICLE of each particle.
+    kinds : list of str or None
+        Kind (N,) of each particle.
+    camera : ImageToWorkspace or None
+        Geometry of the picture; without it there are no pixels.
+
+    Returns
+    -------
+    dict of str to object
+        The message.
+    """
     xy = np.stack([points['x'], points['y']], axis=1).astype(float)
     pixels = np.full_like(xy, np.nan) if camera is None else camera.pixels(xy)
     size = camera.pixel_size if camera else math.nan
@@ -405,13 +492,13 @@ def particles_message(stamp: int, points: np.ndarray, kinds: list[str | None],
 
 
 def _reasons(sentence: str) -> dict[int, str]:
-    """Why nothing is known of a particle, by its number, from what the model says."""
+    """Return why nothing is known of a particle, by its number, from the model's sentence."""
     return {int(name): reason for names, reason in _UNKNOWN.findall(sentence)
             for name in names.split(', ')}
 
 
 def _json_in(text: str, topic: str) -> Any:
-    """What a `text` of a `topic` holds; MessageError where it is no JSON."""
+    """Return the content of a text of a topic; MessageError if it is not JSON."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -423,13 +510,13 @@ def _millitesla(vector: Any) -> list[float | None] | None:
 
 
 def _to_um(camera: ImageToWorkspace) -> list[list[float]]:
-    """The affine map of pixels to µm (2, 3)."""
+    """Return the affine map of pixels to µm (2, 3)."""
     origin, right, down = 1e6 * camera.position(np.array([[0, 0], [1, 0], [0, 1]]))
     return np.column_stack([right - origin, down - origin, origin]).round(9).tolist()
 
 
 def _finite(value: Any) -> float | None:
-    """As JSON has it, in six digits: what is no number is None."""
+    """Return a number as in JSON, with six digits; None for a value that is not finite."""
     number = float(value)
     return float(f'{number:.6g}') if math.isfinite(number) else None
 
@@ -442,4 +529,4 @@ def _number(value: Any) -> float | None:
 
 
 def _nobody(*_: object) -> None:
-    """Nobody listens yet."""
+    """Do nothing, as a listener."""

@@ -1,4 +1,4 @@
-"""What discovery found in a running graph, for its screens."""
+"""Findings of discovery in a running graph, for its screens."""
 
 from __future__ import annotations
 
@@ -13,20 +13,32 @@ from microbot_ros.nodes.base.lifecycle import LATCHED
 from microbot_ros.nodes.client.graph_client import GraphClient
 
 _HEARD_SECONDS = 1.0
-"""So long whoever listens may take to have heard it, before the process may end."""
+"""Time [s] for listeners to receive a result before the process may end. Choice: half risks a lost
+result on a busy machine."""
 
 
 class VerdictPublisher:
-    """Says on `discovery/verdict` of the graph of a `client` what a look has found.
+    """Publisher of findings on `discovery/verdict` of the graph of a client.
 
-    The topic is latched: a screen that comes later hears the last verdict, as long as this lives.
+    The topic is latched: a later screen receives the last result, as long as this object lives.
+
+    Parameters
+    ----------
+    client : GraphClient
+        Client of the graph.
     """
 
     def __init__(self, client: GraphClient) -> None:
         self._publisher = client.node.create_publisher(String, 'discovery/verdict', LATCHED)
 
     def publish(self, result: Mapping[str, Any]) -> None:
-        """Send a `result`, the content of `result.json`, on one line."""
+        """Send a result on one line.
+
+        Parameters
+        ----------
+        result : mapping of str to object
+            Content of `result.json`.
+        """
         line = json.dumps(result, ensure_ascii=False, allow_nan=False)
         self._publisher.publish(String(data=line))
         self._publisher.wait_for_all_acked(Duration(seconds=_HEARD_SECONDS))

@@ -126,7 +126,7 @@ class McapFile:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
-                problem = 'expected a recording that nobody is writing'
+                problem = 'expected a recording that no program is writing'
                 raise InputError(self.path, problem) from None
             file.truncate(self._end)
             if self.summary.chunk_indexes:

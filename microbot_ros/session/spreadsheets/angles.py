@@ -109,7 +109,7 @@ def settle_angles(
               and len(tracks.t) >= _FEWEST_ROWS):
             # Motion to and fro along one line follows both.
             clockwise = _opposite(same) and not _opposite(mirrored)
-            said.add(f'whether angles turn clockwise does not show, since the motion keeps to one '
+            said.add('the sense of the angles is not visible, as the motion keeps to one '
                      f'line; taken as {"clockwise" if clockwise else "counterclockwise"}')
     if clockwise:
         z, same = z.conj(), mirrored

@@ -154,7 +154,7 @@ def _teslas(sheet: Sheet, bx: Column, components: np.ndarray, answers: Answers,
         raise InputError(sheet.place, "expected shares of full scale from −1 to 1 in "
                                       f"'{name}', found {largest:.4g}")
     if answers.full_scale is None:
-        said.add(f'full scale is taken as {NOMINAL_FIELD * 1e3:g} mT; --full-scale-mT states it')
+        said.add(f'full scale is taken as {NOMINAL_FIELD * 1e3:g} mT; set it by --full-scale-mT')
     return answers.full_scale or NOMINAL_FIELD
 
 

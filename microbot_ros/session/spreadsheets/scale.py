@@ -196,9 +196,10 @@ def _common_ratio(robots: Sequence[Part], timelines: Sequence[RowTimes], lenient
         if abs(one.ratio.value / best.ratio.value - 1) > max(
                 _AGREES, one.ratio.error + best.ratio.error):
             raise InputError(
-                robots[0][0].source, f'expected one scale; {best.place} says '
-                f'{best.ratio.value:.4g} and {one.place} {one.ratio.value:.4g}: state '
-                '--pixel-size-um with --ignore-speed')
+                robots[0][0].source, f'expected one scale; {best.place} gives '
+                                     f'{best.ratio.value:.4g} and {one.place} gives '
+                                     f'{one.ratio.value:.4g}: state --pixel-size-um with '
+                                     '--ignore-speed')
     return best
 
 
@@ -241,8 +242,9 @@ def _refuse_two_scales(sheet: Sheet, name: str, ratio: SpeedRatio, speed: np.nda
     middle, width = _shorth(np.log(other[rest]))
     if width < _EXACT:
         line = sheet.lines[frames + int(np.flatnonzero(rest)[0])]
-        raise InputError(sheet.place, f"expected one scale; '{name}' says {ratio.value:.4g} in "
-                                      f'most rows and {np.exp(middle):.4g} in others', line)
+        raise InputError(sheet.place, f"expected one scale; '{name}' gives "
+                                      f'{ratio.value:.4g} in most rows and '
+                                      f'{np.exp(middle):.4g} in others', line)
 
 
 def _pixels(found: _Found | None) -> float | None:

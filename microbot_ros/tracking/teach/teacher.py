@@ -124,7 +124,7 @@ def unlike(
             continue
         learned = _learn(kind, image, kind.like, [*kind.unlike, *_traits(meant.body)])
         changed = _with(changed, learned)
-        said.append(f'{kind.name}: not what is {meant.body.width[0]:.0f} px wide and '
+        said.append(f'{kind.name}: not bodies {meant.body.width[0]:.0f} px wide and '
                     f'{meant.body.height[0]:.0f} grey levels {_word(kind)}')
     return changed, '; '.join(said) or 'it was not detected as any kind before: nothing to change'
 
