@@ -47,6 +47,18 @@ def summarise(trials: list[Trial], run_times: dict[str, float]) -> dict[str, Any
     """Return all numbers of the page, ready for JSON, with units in the names.
 
     `run_times` [s] by solver, as from `repetition.run_times`.
+
+    Parameters
+    ----------
+    trials : list of Trial
+        The trials.
+    run_times : dict of str to float
+        Time [s] by solver, as from `repetition.run_times`.
+
+    Returns
+    -------
+    dict of str to object
+        Values by name.
     """
     by_solver = {
         solver: {a: np.array([getattr(t, kind)[a] for t in trials]) for a in APPROACHES}

@@ -24,7 +24,18 @@ _WIDTH, _HEIGHT = 7.2, 2.3
 
 
 def draw(found: Response) -> Figure:
-    """Draw the response `found`; a row of panels per kind."""
+    """Draw the response `found`; a row of panels per kind.
+
+    Parameters
+    ----------
+    found : Response
+        The response.
+
+    Returns
+    -------
+    Figure
+        The figure.
+    """
     import matplotlib as mpl
 
     with mpl.rc_context(_STYLE):

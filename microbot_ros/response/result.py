@@ -129,7 +129,22 @@ class Response:
 
 def respond_all(sessions: Sequence[Labelled], against: Against, definition: Definition,
                 ) -> Response:
-    """Combine all `sessions` `against` a commanded quantity, by a `definition` of speed."""
+    """Combine all `sessions` `against` a commanded quantity, by a `definition` of speed.
+
+    Parameters
+    ----------
+    sessions : sequence of Labelled
+        The sessions with their labels.
+    against : Against
+        Quantity that is varied.
+    definition : Definition
+        Definition of speed.
+
+    Returns
+    -------
+    Response
+        The response.
+    """
     rows, notes, delays, without = [], {}, {}, []
     both: dict[Definition, list[Row]] = {'motion': [], 'tables': []}
     for one in sessions:
