@@ -30,7 +30,7 @@ ROOMS = sorted({
     - {'__init__'})
 
 SECTIONS_TO_DO = (
-    'cameras/', 'common/', 'control/',
+    'control/',
     'session/', 'tracking/', 'virtual_rig/')
 """Beginnings of paths whose docstrings may lack numpydoc sections. Remove them one by one."""
 

@@ -45,6 +45,13 @@ def exercise(kind: type[CameraDriver], source: str) -> None:
     It is opened twice. Frames must match the format and arrive in time, their numbers must rise,
     and no exposure may lie in the future. Impossible settings must be refused in one line and
     leave the camera free.
+
+    Parameters
+    ----------
+    kind : type[CameraDriver]
+        Class of the driver.
+    source : str
+        Name of the camera.
     """
     wanted = CameraSettings(source)
     for _ in range(2):

@@ -98,6 +98,13 @@ class VideoDevice:
     """Open device at `path` that streams through buffers shared with the kernel.
 
     Raises OSError if the system refuses. `ioctl` is the system call, replaced in tests.
+
+    Parameters
+    ----------
+    path : str
+        Path of the device.
+    ioctl : Ioctl
+        The system call.
     """
 
     def __init__(self, path: str, ioctl: Ioctl = fcntl.ioctl) -> None:
@@ -130,7 +137,13 @@ class VideoDevice:
             os.close(self._file)
 
     def pixel_formats(self) -> list[str]:
-        """Return the four-character codes of its pixel formats, in the device's order."""
+        """Return the four-character codes of its pixel formats, in the device's order.
+
+        Returns
+        -------
+        list of str
+            The codes.
+        """
         found: list[str] = []
         with suppress(OSError):
             while True:
@@ -139,11 +152,32 @@ class VideoDevice:
         return found
 
     def layout(self) -> PixelLayout:
-        """Return the present layout."""
+        """Return the present layout.
+
+        Returns
+        -------
+        PixelLayout
+            The layout.
+        """
         return _layout(self._ask(G_FMT, _FORMAT, _CAPTURE, *[0] * 6))
 
     def lay_out(self, width: int, height: int, pixel_format: str) -> PixelLayout:
-        """Request `width`, `height` [px] and `pixel_format`; return the layout chosen."""
+        """Request `width`, `height` [px] and `pixel_format`; return the layout chosen.
+
+        Parameters
+        ----------
+        width : int
+            Width [px].
+        height : int
+            Height [px].
+        pixel_format : str
+            Four-character code.
+
+        Returns
+        -------
+        PixelLayout
+            The layout that the device chose.
+        """
         return _layout(self._ask(S_FMT, _FORMAT, _CAPTURE, width, height, _code(pixel_format), 0,
                                  0, 0))
 
@@ -151,12 +185,34 @@ class VideoDevice:
         """Request the region of `width` × `height` with its corner at `left`, `top` [px].
 
         Returns the region that the device chose, in the same order.
+
+        Parameters
+        ----------
+        left : int
+            Left edge [px].
+        top : int
+            Upper edge [px].
+        width : int
+            Width [px].
+        height : int
+            Height [px].
+
+        Returns
+        -------
+        tuple[int, int, int, int]
+            Region that the device chose [px].
         """
         told = self._ask(S_SELECTION, _SELECTION, _CAPTURE, _CROP, 0, left, top, width, height)
         return told[3], told[4], told[5], told[6]
 
     def frame_rate(self) -> float | None:
-        """Return the frame rate [Hz]; None if the device does not report it."""
+        """Return the frame rate [Hz]; None if the device does not report it.
+
+        Returns
+        -------
+        float or None
+            Rate [Hz], or None.
+        """
         try:
             _, can, _, part, whole = self._ask(G_PARM, _PARAMETERS, _CAPTURE, 0, 0, 0, 0)
         except OSError:
@@ -164,7 +220,18 @@ class VideoDevice:
         return whole / part if can & _TIME_PER_FRAME and part and whole else None
 
     def ask_frame_rate(self, rate: float) -> float | None:
-        """Request a `rate` [Hz]; return the one the device chose, or None if it cannot be set."""
+        """Request a `rate` [Hz]; return the one the device chose, or None if it cannot be set.
+
+        Parameters
+        ----------
+        rate : float
+            Rate [Hz].
+
+        Returns
+        -------
+        float or None
+            Rate [Hz], or None.
+        """
         try:
             self._ask(S_PARM, _PARAMETERS, _CAPTURE, 0, 0, 1000, round(rate * 1000))
         except OSError:
@@ -172,7 +239,18 @@ class VideoDevice:
         return self.frame_rate()
 
     def limits(self, control: int) -> tuple[int, int] | None:
-        """Return the lowest and highest value of a `control`; None if the device has none."""
+        """Return the lowest and highest value of a `control`; None if the device has none.
+
+        Parameters
+        ----------
+        control : int
+            Number of the control.
+
+        Returns
+        -------
+        tuple[int, int] or None
+            Lowest and highest value, or None.
+        """
         try:
             told = self._ask(QUERYCTRL, _LIMITS, control, 0, b'', 0, 0, 0, 0, 0)
         except OSError:
@@ -180,11 +258,30 @@ class VideoDevice:
         return None if told[7] & _DISABLED else (told[3], told[4])
 
     def set(self, control: int, value: int) -> None:
-        """Set a `control` to `value`."""
+        """Set a `control` to `value`.
+
+        Parameters
+        ----------
+        control : int
+            Number of the control.
+        value : int
+            Value of the control.
+        """
         self._ask(S_CTRL, _CONTROL, control, value)
 
     def get(self, control: int) -> int | None:
-        """Return the value of a `control`; None if the device has none."""
+        """Return the value of a `control`; None if the device has none.
+
+        Parameters
+        ----------
+        control : int
+            Number of the control.
+
+        Returns
+        -------
+        int or None
+            The value, or None.
+        """
         try:
             return int(self._ask(G_CTRL, _CONTROL, control, 0)[1])
         except OSError:
@@ -203,6 +300,16 @@ class VideoDevice:
         """Return the oldest filled buffer, or None if none is filled within `timeout` [s].
 
         The buffer goes back to the device with the next call.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        Captured or None
+            The buffer, or None.
         """
         if self._held is not None:
             index, self._held = self._held, None
