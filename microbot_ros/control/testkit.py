@@ -49,6 +49,22 @@ def controller_input(
 
     `expected` is the measured position, as for a rig without delay; `t` [s] is the present time,
     `seed` selects the particles.
+
+    Parameters
+    ----------
+    count : int
+        Number of particles.
+    t : float
+        Present time [s].
+    seed : int
+        Seed of the particles.
+    **changes : object
+        Values of fields.
+
+    Returns
+    -------
+    ControllerInput
+        The input.
     """
     rng = np.random.default_rng(seed)
     position = rng.uniform(-60e-6, 60e-6, (count, 2))
@@ -69,6 +85,11 @@ def exercise(kind: type[Controller]) -> None:
     does not take; accept its default parameters; and answer each of a series of inputs, common and
     odd, with a finite command within the limits or with a ControllerError, without changing the
     inputs; also after `reset` and a second activation.
+
+    Parameters
+    ----------
+    kind : type[Controller]
+        Class of the controller.
     """
     assert kind.interface_version == INTERFACE_VERSION, 'written for another interface version'
     assert kind.summary.strip(), 'has no summary'
@@ -111,7 +132,13 @@ def _answers(kind: type[Controller], what: Input, given: bool) -> list[Any]:
 
 
 def odd_inputs() -> Iterator[ControllerInput]:
-    """Yield inputs that occur on a rig, common and odd."""
+    """Yield inputs that occur on a rig, common and odd.
+
+    Yields
+    ------
+    ControllerInput
+        The input.
+    """
     goals = Goals(np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]]))
     path = np.column_stack((np.linspace(-50e-6, 50e-6, 21), np.zeros(21)))
     nobody = controller_input(0)

@@ -67,6 +67,22 @@ def search(swarm: Swarm, task: Task, part: int = 0, parts: int = 1) -> Plan:
     """Return the cheapest plan for a `task` of turning a `swarm`, coasting, and a leg together.
 
     Of the candidate starts only every `parts`-th is tried, from number `part` on.
+
+    Parameters
+    ----------
+    swarm : Swarm
+        The swarm.
+    task : Task
+        The task.
+    part : int
+        Number of the first candidate.
+    parts : int
+        Distance between candidates.
+
+    Returns
+    -------
+    Plan
+        The plan.
     """
     slowest = swarm.slowest * swarm.models[0].reference_field / task.limit
     far = float(np.abs(task.goal - swarm.position).max())
