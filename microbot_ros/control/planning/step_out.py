@@ -65,11 +65,11 @@ class SingleTurns:
     Parameters
     ----------
     slowest : float
-        Lowest frequency [Hz].
+        Lowest step-out [Hz].
     fastest : float
-        Highest frequency [Hz].
+        Highest step-out, and highest frequency of a leg [Hz].
     tick : float
-        Time between two commands [s].
+        Length of a tick [s].
     delay : int
         Delay of a command, in ticks.
     """

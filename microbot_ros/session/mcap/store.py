@@ -52,6 +52,11 @@ class Store:
 
     Tracks can thus be read without decompressing frames, and refused chunks be dropped by
     priority. Not thread-safe: one thread stores, others may read the public attributes.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -78,6 +83,15 @@ class Store:
         """Add a message of `topic`, received at `t_ns` [ns] with CDR `data`.
 
         It is on disk after the next `tick` that finds its chunk due.
+
+        Parameters
+        ----------
+        topic : RecordedTopic
+            The topic.
+        t_ns : int
+            Time of receipt [ns].
+        data : bytes
+            The serialised message.
         """
         builder = self._builders[topic.priority]
         if not builder.size:
@@ -88,7 +102,13 @@ class Store:
             self._flush(topic.priority)
 
     def add_record(self, record: Attachment | Metadata) -> None:
-        """Write an attachment or metadata `record` at once."""
+        """Write an attachment or metadata `record` at once.
+
+        Parameters
+        ----------
+        record : Attachment or Metadata
+            The record.
+        """
         self._waiting.append((Priority.DATA, record))
         self._write()
 
@@ -109,6 +129,11 @@ class Store:
         """Write all remaining data, the indexes and `metadata.yaml`.
 
         `lost` counts messages dropped before they were added, by topic.
+
+        Parameters
+        ----------
+        lost : Counter[str]
+            Dropped messages by topic.
         """
         for priority in Priority:
             self._flush(priority)
