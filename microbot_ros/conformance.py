@@ -53,6 +53,11 @@ def exercise(kind: type[Effect]) -> None:
     its shape; stay finite at its bounds; have a smooth derivative along each parameter; keep
     particles and times apart as its hooks promise; declare correctly whether it needs positions,
     depends on absolute time or is linear; and survive a `model.yaml` to the last bit.
+
+    Parameters
+    ----------
+    kind : type[Effect]
+        Class of the effects.
     """
     assert EFFECTS.get(kind.id) is kind, (
         f"{kind.id} is not installed: name it in the entry points 'microbot_ros.effects'")
@@ -74,6 +79,11 @@ def exercise_discovery(hidden: Effect) -> None:
     Two sessions are simulated, half a minute of three particles under steps of the field at two
     strengths: with the effect, which must be strong enough, and without. Both verdicts must hold
     under priors narrower and wider by PRIOR_OFF than the effect declares.
+
+    Parameters
+    ----------
+    hidden : Effect
+        The effect.
     """
     known = _search(hidden.is_drive_curve, {hidden.id: {
         p.name: p.display_units(value) for p, value in hidden.values().items()}})
@@ -113,7 +123,18 @@ def _log_evidence_under_other_priors(found: CandidateFit) -> np.ndarray:
 
 
 def plain(kind: type[Effect]) -> Effect:
-    """Return an effect of a `kind` at typical strength, with its shape away from the default."""
+    """Return an effect of a `kind` at typical strength, with its shape away from the default.
+
+    Parameters
+    ----------
+    kind : type[Effect]
+        Class of the effect.
+
+    Returns
+    -------
+    Effect
+        The effect.
+    """
     return kind(**{
         p.field: p.from_fit(1.3) if p.shape or p.inverse else p.null_value + 0.7 * p.scale
         for p in kind.parameters()})

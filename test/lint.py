@@ -6,7 +6,7 @@
   whose own docstring describes it, or one that leaves nothing to say. What overrides inherits.
 * Every public function, class and method has the sections of numpydoc: `Parameters` lists the
   parameters of the signature, all of them and no others; `Returns` or `Yields` says what comes
-  back. Files of `SECTIONS_TO_DO` are not rewritten yet: there a section may be missing.
+  back.
 * Every constant number has a string below it, or a comment, that says where it is from.
 * Imports run one way, file by file: what one file needs of another never leads back to it.
 * What is compiled uses the cache that many processes may share.
@@ -28,12 +28,6 @@ ROOT = Path(microbot_ros.__file__).parent
 ROOMS = sorted({
     path.relative_to(ROOT).parts[0].removesuffix('.py') for path in ROOT.rglob('*.py')}
     - {'__init__'})
-
-SECTIONS_TO_DO = (
-    'cameras/', 'cli/', 'common/', 'conformance.py', 'control/',
-    'gym/', 'loop/', 'magnetics/', 'paper/', 'response/',
-    'session/', 'tracking/', 'virtual_rig/')
-"""Beginnings of paths whose docstrings may lack numpydoc sections. Remove them one by one."""
 
 _SAYS_IT_ALL = {
     'Path', 'BinaryIO', 'TextIO', 'Generator', 'Console', 'TracebackType', 'Attachment', 'Channel',
@@ -306,10 +300,9 @@ def main():
     modules = [module for room in ROOMS for module in public_modules(room)]
     names = {label for module in modules for label, _, _ in public_names(*module)}
     wrong = [one for module in modules for one in complaints(*module)]
-    wrong += [(f'{path.relative_to(ROOT)}: {name}', 'lacks a word on where its value is from')
+    wrong += [(f'{path.relative_to(ROOT)}: {name}', 'does not say where its value is from')
               for path, _ in modules for name in unexplained(path.read_text(encoding='utf-8'))]
-    found = [f'{where} {what}' for where, what in wrong
-             if not (what.startswith('lacks') and where.startswith(SECTIONS_TO_DO))]
+    found = [f'{where} {what}' for where, what in wrong]
     if around := circle({name: sorted({*needs(name)} - {name}) for name in FILES}):
         found.append(f'imports run in a circle: {" → ".join(around)}')
     found += [f'{name}: import numba from microbot_ros.common.compiled' for name in unshared()]

@@ -37,7 +37,6 @@ _MOST_TEXT = 2**28
 """Largest text that is examined for a table [bytes]. Choice: 256 MB, as a table is read into
 memory as a whole."""
 
-# Where they stand → bytes → what files that begin so are.
 _MAGIC: tuple[tuple[int, bytes, str], ...] = (
     (0, b'\x89MCAP0\r\n', 'mcap'), (0, b'PK\x03\x04', 'zip'),
     (0, b'SQLite format 3\0', 'sqlite'),

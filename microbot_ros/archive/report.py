@@ -24,7 +24,6 @@ from microbot_ros.model.effects import EFFECTS
 
 _TEMPLATE = Path(__file__).with_name('report.html')
 
-# Okabe and Ito's colours; rigs are told by markers, too.
 _COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9', '#000000')
 """Palette of Okabe and Ito (2008); rigs are distinguished by markers, too."""
 _MARKERS = 'osD^vP*X'

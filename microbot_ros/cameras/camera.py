@@ -178,6 +178,11 @@ class CameraDriver(ABC):
 
         Raises InputError, with nothing left open, if there is no such device or it refuses a
         setting.
+
+        Returns
+        -------
+        CameraFormat
+            Format of the frames.
         """
 
     @abstractmethod
@@ -186,6 +191,16 @@ class CameraDriver(ABC):
 
         Damaged frames are skipped, so that their numbers are missing. Raises InputError if the
         device is lost and EndOfFrames at the end of a file.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        CameraFrame or None
+            The frame, or None.
         """
 
     @property
@@ -201,6 +216,13 @@ class CameraDriver(ABC):
         """Raise InputError if a setting in `names`, which this kind does not have, is requested.
 
         `why` tells the user what to do instead.
+
+        Parameters
+        ----------
+        why : str
+            Advice for the user.
+        *names : str
+            Names of the settings.
         """
         for name in names:
             if name in self.wanted.asked:
@@ -208,7 +230,22 @@ class CameraDriver(ABC):
                                  + (why and f'; {why}'))
 
     def within(self, name: str, lowest: float, highest: float) -> float:
-        """Return the setting `name` if it is from `lowest` to `highest`, else raise InputError."""
+        """Return the setting `name` if it is from `lowest` to `highest`, else raise InputError.
+
+        Parameters
+        ----------
+        name : str
+            Name of the setting.
+        lowest : float
+            Smallest value.
+        highest : float
+            Largest value.
+
+        Returns
+        -------
+        float
+            The value.
+        """
         value: float = getattr(self.wanted, name)
         if not lowest <= value <= highest:
             unit = units.symbol(name)
@@ -217,7 +254,20 @@ class CameraDriver(ABC):
         return value
 
     def one_of(self, name: str, known: list[str]) -> str:
-        """Return the setting `name` if it is among the `known` ones, else raise InputError."""
+        """Return the setting `name` if it is among the `known` ones, else raise InputError.
+
+        Parameters
+        ----------
+        name : str
+            Name of the setting.
+        known : list of str
+            Allowed values.
+
+        Returns
+        -------
+        str
+            The value.
+        """
         value: str = getattr(self.wanted, name)
         if value not in known:
             raise InputError(self.wanted.source, f'{name} must be one of {", ".join(known)}; '
@@ -231,6 +281,16 @@ def camera_class(kind: str) -> type[CameraDriver]:
 
     Raises InputError if it is missing, cannot be loaded or has another interface version; no other
     kind is tried.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of camera.
+
+    Returns
+    -------
+    type[CameraDriver]
+        The class.
     """
     found = installed(GROUP, 'camera', kind)
     if not (isinstance(found, type) and issubclass(found, CameraDriver)):
@@ -242,14 +302,40 @@ def camera_class(kind: str) -> type[CameraDriver]:
 
 
 def kind_of(kind: str, source: str) -> str:
-    """Return `kind`; if it is '', v4l2 for a `source` that is a device, else file."""
+    """Return `kind`; if it is '', v4l2 for a `source` that is a device, else file.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of camera, or ''.
+    source : str
+        Name of the device or file.
+
+    Returns
+    -------
+    str
+        Kind of camera.
+    """
     if kind:
         return kind
     return 'v4l2' if source.isdigit() or source.startswith('/dev/') else 'file'
 
 
 def optional(package: str, kind: str) -> ModuleType:
-    """Import the optional `package` that a camera `kind` needs, or raise InputError."""
+    """Import the optional `package` that a camera `kind` needs, or raise InputError.
+
+    Parameters
+    ----------
+    package : str
+        Name of the package.
+    kind : str
+        Kind of camera.
+
+    Returns
+    -------
+    ModuleType
+        The package.
+    """
     try:
         return importlib.import_module(package)
     except ImportError as error:

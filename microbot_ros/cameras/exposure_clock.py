@@ -46,6 +46,18 @@ class ExposureClock:
 
         `stamp` is its time on the device's clock [s], `arrived` the arrival of the frame on ours
         [s].
+
+        Parameters
+        ----------
+        stamp : float
+            Time on the device's clock [s].
+        arrived : float
+            Arrival of the frame on this computer's clock [s].
+
+        Returns
+        -------
+        float
+            Time [s].
         """
         latest = arrived - self._least_delay
         if not math.isfinite(stamp):

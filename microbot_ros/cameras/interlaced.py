@@ -21,6 +21,16 @@ def interlaced(pictures: Iterable[np.ndarray]) -> bool:
 
     Where something moved between the fields, a row differs from both its neighbours in the same
     direction. Real structures, noise and stripes do so within one field as well.
+
+    Parameters
+    ----------
+    pictures : iterable of ndarray
+        Pictures (H, W).
+
+    Returns
+    -------
+    bool
+        Whether they are.
     """
     combed = striped = 0
     before = None
@@ -43,7 +53,18 @@ def _outstanding(grey: np.ndarray, away: int) -> np.ndarray:
 
 
 def one_field(picture: np.ndarray) -> np.ndarray:
-    """Return `picture` (H, W) or (H, W, C) with its odd rows interpolated from the even ones."""
+    """Return `picture` (H, W) or (H, W, C) with its odd rows interpolated from the even ones.
+
+    Parameters
+    ----------
+    picture : ndarray
+        The picture.
+
+    Returns
+    -------
+    ndarray
+        The picture, of the same shape.
+    """
     whole = picture.copy()
     above, below = picture[:-1:2], picture[2::2]
     whole[1:2 * len(below):2] = (above[:len(below)].astype(np.uint32) + below + 1) // 2

@@ -21,7 +21,22 @@ GENICAM = {
 
 
 def encoding_of(pixel_format: str, known: dict[str, str], source: str) -> str:
-    """Return the encoding of a `pixel_format` among the `known`, or blame `source`."""
+    """Return the encoding of a `pixel_format` among the `known`, or blame `source`.
+
+    Parameters
+    ----------
+    pixel_format : str
+        Name of the format.
+    known : dict of str to str
+        Encoding by format.
+    source : str
+        Name of the camera, for messages.
+
+    Returns
+    -------
+    str
+        The encoding.
+    """
     if pixel_format not in known:
         raise InputError(source, f'delivers pixels as {pixel_format}; expected a pixel_format of '
                                  f'{", ".join(known)}')
@@ -39,6 +54,11 @@ def picture(data: Any, encoding: str, height: int, width: int, stride: int = 0) 
     height, width : int [px]
     stride : int
         Length of a row [bytes]; 0 if there is no padding.
+
+    Returns
+    -------
+    ndarray
+        View of the buffer.
 
     Raises
     ------

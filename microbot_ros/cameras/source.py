@@ -58,6 +58,11 @@ class Source(Protocol):
 
         So are frames of another size than the first, which is `size` (height, width). Raises
         InputError if there is no frame at all.
+
+        Yields
+        ------
+        Frame
+            The frame.
         """
         ...
 
@@ -80,6 +85,11 @@ def open_source(
         that t counts frames.
     see : callable, optional
         Function from a decoded picture to the array of a frame; by default `grey`.
+
+    Returns
+    -------
+    Source
+        The source.
 
     Raises
     ------
@@ -107,7 +117,18 @@ def open_source(
 
 
 def grey(image: Any) -> np.ndarray | None:
-    """Convert a decoded `image`, an array, to grey (H, W); None if not 8 or 16 bit."""
+    """Convert a decoded `image`, an array, to grey (H, W); None if not 8 or 16 bit.
+
+    Parameters
+    ----------
+    image : object
+        The image.
+
+    Returns
+    -------
+    ndarray, shape (H, W), or None
+        Uint8 or uint16, or None.
+    """
     import cv2
 
     picture = decoded(image)
@@ -121,6 +142,16 @@ def decoded(image: Any) -> np.ndarray | None:
     """Return a decoded `image`, an array, if it has 8 or 16 bit, else None.
 
     Its shape is (H, W), or (H, W, 3 or 4) with blue first.
+
+    Parameters
+    ----------
+    image : object
+        The image.
+
+    Returns
+    -------
+    ndarray or None
+        The image, or None.
     """
     usual = image.ndim == 2 or image.shape[2] in (3, 4)
     return image if usual and image.dtype in (np.uint8, np.uint16) else None
@@ -131,6 +162,17 @@ class VideoSource:
 
     `report` takes sentences about anything unusual; `frame_rate` [Hz] overrides that of the file;
     `see` as in `open_source`.
+
+    Parameters
+    ----------
+    path : Path
+        The video file.
+    report : callable
+        Function that is called with a sentence on everything unusual.
+    frame_rate : float or None
+        Frame rate [Hz]; None for that of the file.
+    see : See
+        Function from a decoded picture to the array of a frame.
     """
 
     def __init__(
@@ -157,7 +199,13 @@ class VideoSource:
         self._first: np.ndarray | None = first
 
     def frames(self) -> Iterator[Frame]:
-        """Yield the frames as `Source.frames`; a second call starts again."""
+        """Yield the frames as `Source.frames`; a second call starts again.
+
+        Yields
+        ------
+        Frame
+            The frame.
+        """
         import cv2
 
         if self._first is None:
@@ -200,6 +248,19 @@ class ImageSource:
 
     `report` takes sentences about anything unusual; `frame_rate` [Hz] spaces the images; `see` as
     in `open_source`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the source.
+    paths : list of Path
+        The images.
+    report : callable
+        Function that is called with a sentence on everything unusual.
+    frame_rate : float or None
+        Frame rate [Hz]; None for one image per second.
+    see : See
+        Function from a decoded picture to the array of a frame.
     """
 
     def __init__(
@@ -223,7 +284,13 @@ class ImageSource:
         self.size = first.shape[:2]
 
     def frames(self) -> Iterator[Frame]:
-        """Yield the frames as `Source.frames`; a second call starts again."""
+        """Yield the frames as `Source.frames`; a second call starts again.
+
+        Yields
+        ------
+        Frame
+            The frame.
+        """
         for index, path in enumerate(self._paths):
             image = _read_image(path, self._see)
             if image is None:
@@ -238,7 +305,18 @@ class ImageSource:
 
 
 def read_picture(path: Path) -> np.ndarray:
-    """Read the image file `path` as grey (H, W), 8 or 16 bit, or raise InputError."""
+    """Read the image file `path` as grey (H, W), 8 or 16 bit, or raise InputError.
+
+    Parameters
+    ----------
+    path : Path
+        File to read or write.
+
+    Returns
+    -------
+    ndarray, shape (H, W)
+        Uint8 or uint16.
+    """
     image = _read_image(path, grey)
     if image is None:
         raise InputError(path, 'expected a picture of 8 or 16 bit; it cannot be decoded')
@@ -257,7 +335,18 @@ def _read_image(path: Path, see: See) -> np.ndarray | None:
 
 
 def natural_order(path: Path) -> list[str | tuple[int, str]]:
-    """Return a sort key for the file `path` in natural order: 2 before 10."""
+    """Return a sort key for the file `path` in natural order: 2 before 10.
+
+    Parameters
+    ----------
+    path : Path
+        File to read or write.
+
+    Returns
+    -------
+    list of str or tuple[int, str]
+        The key.
+    """
     parts = re.split(r'(\d+)', str(path))
     return [f'{int(part):020d}' if part.isdigit() else part for part in parts]
 

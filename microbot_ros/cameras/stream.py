@@ -15,6 +15,11 @@ class FrameStream:
     `lost` counts frames exposed before the newest that did not arrive, `repeated` those delivered
     again: with the number, or on a real clock the stamp, of the previous one. Raises InputError if
     the camera cannot be opened.
+
+    Parameters
+    ----------
+    camera : CameraDriver
+        The camera.
     """
 
     def __init__(self, camera: CameraDriver) -> None:
@@ -36,6 +41,16 @@ class FrameStream:
 
         None if no frame arrives within `timeout` [s], or a repeated one. Raises InputError if the
         camera is lost, silent or gives frames of another size; EndOfFrames at the end of a file.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        tuple[CameraFrame, float] or None
+            Frame and start of its exposure [s], or None.
         """
         frame = self._camera.read(timeout)
         if frame is None:

@@ -30,11 +30,13 @@ _IMPOSSIBLE: dict[str, Any] = {
     'source': 'no such camera', 'pixel_format': 'no such format', 'trigger': 'no such line',
     'width_px': 99_999, 'height_px': 99_999, 'offset_x_px': 99_999, 'offset_y_px': 99_999,
     'gain': 999_999.0}
-# Choices: frames read per opening, the time they may take, and the excess of a read over its
-# timeout, which a loaded machine needs.
+"""Settings that no camera can fulfil. Choice: sizes and a gain far above any sensor's."""
 _FRAMES = 10
+"""Choice: frames read per opening, enough to see whether numbers rise."""
 _PATIENCE_S = 20.0
+"""Choice: time [s] that these frames may take, far above any camera's interval."""
 _SLACK_S = 0.5
+"""Choice: excess [s] of a read over its timeout, which a loaded machine needs."""
 
 
 def exercise(kind: type[CameraDriver], source: str) -> None:
@@ -43,6 +45,13 @@ def exercise(kind: type[CameraDriver], source: str) -> None:
     It is opened twice. Frames must match the format and arrive in time, their numbers must rise,
     and no exposure may lie in the future. Impossible settings must be refused in one line and
     leave the camera free.
+
+    Parameters
+    ----------
+    kind : type[CameraDriver]
+        Class of the driver.
+    source : str
+        Name of the camera.
     """
     wanted = CameraSettings(source)
     for _ in range(2):

@@ -34,29 +34,29 @@ def _request(direction: int, number: int, layout: struct.Struct) -> int:
     return direction << 30 | layout.size << 16 | ord('V') << 8 | number
 
 
-# Values from <linux/videodev2.h> and <linux/v4l2-controls.h>.
+# Values from the headers of Linux, <linux/videodev2.h> and <linux/v4l2-controls.h>.
 _READ, _WRITE, _BOTH = 2, 1, 3
-QUERYCAP = _request(_READ, 0, _CAPABILITY)
-ENUM_FMT = _request(_BOTH, 2, _DESCRIPTION)
-G_FMT, S_FMT = _request(_BOTH, 4, _FORMAT), _request(_BOTH, 5, _FORMAT)
-REQBUFS = _request(_BOTH, 8, _REQUEST)
-QUERYBUF, QBUF, DQBUF = (_request(_BOTH, number, _BUFFER) for number in (9, 15, 17))
-STREAMON, STREAMOFF = _request(_WRITE, 18, _INT), _request(_WRITE, 19, _INT)
-G_PARM, S_PARM = _request(_BOTH, 21, _PARAMETERS), _request(_BOTH, 22, _PARAMETERS)
-G_CTRL, S_CTRL = _request(_BOTH, 27, _CONTROL), _request(_BOTH, 28, _CONTROL)
-QUERYCTRL = _request(_BOTH, 36, _LIMITS)
-S_SELECTION = _request(_BOTH, 95, _SELECTION)
+QUERYCAP = _request(_READ, 0, _CAPABILITY)  # videodev2.h
+ENUM_FMT = _request(_BOTH, 2, _DESCRIPTION)  # videodev2.h
+G_FMT, S_FMT = _request(_BOTH, 4, _FORMAT), _request(_BOTH, 5, _FORMAT)  # videodev2.h
+REQBUFS = _request(_BOTH, 8, _REQUEST)  # videodev2.h
+QUERYBUF, QBUF, DQBUF = (_request(_BOTH, number, _BUFFER) for number in (9, 15, 17))  # videodev2.h
+STREAMON, STREAMOFF = _request(_WRITE, 18, _INT), _request(_WRITE, 19, _INT)  # videodev2.h
+G_PARM, S_PARM = _request(_BOTH, 21, _PARAMETERS), _request(_BOTH, 22, _PARAMETERS)  # videodev2.h
+G_CTRL, S_CTRL = _request(_BOTH, 27, _CONTROL), _request(_BOTH, 28, _CONTROL)  # videodev2.h
+QUERYCTRL = _request(_BOTH, 36, _LIMITS)  # videodev2.h
+S_SELECTION = _request(_BOTH, 95, _SELECTION)  # videodev2.h
 
-AUTOGAIN, GAIN = 0x00980912, 0x00980913
-EXPOSURE_AUTO, EXPOSURE_ABSOLUTE = 0x009A0901, 0x009A0902
-EXPOSURE_MANUAL = 1
+AUTOGAIN, GAIN = 0x00980912, 0x00980913  # v4l2-controls.h
+EXPOSURE_AUTO, EXPOSURE_ABSOLUTE = 0x009A0901, 0x009A0902  # v4l2-controls.h
+EXPOSURE_MANUAL = 1  # v4l2-controls.h
 
-_CAPTURE, _MMAP, _CROP = 1, 1, 0
-_CAN_CAPTURE, _CAN_STREAM, _DEVICE_CAPS = 0x1, 0x0400_0000, 0x8000_0000
-_TIME_PER_FRAME, _DISABLED = 0x1000, 0x1
-_BROKEN = 0x40
-_CLOCK, _MONOTONIC = 0xE000, 0x2000
-_SOURCE, _START_OF_EXPOSURE = 0x70000, 0x10000
+_CAPTURE, _MMAP, _CROP = 1, 1, 0  # videodev2.h
+_CAN_CAPTURE, _CAN_STREAM, _DEVICE_CAPS = 0x1, 0x0400_0000, 0x8000_0000  # videodev2.h
+_TIME_PER_FRAME, _DISABLED = 0x1000, 0x1  # videodev2.h
+_BROKEN = 0x40  # videodev2.h
+_CLOCK, _MONOTONIC = 0xE000, 0x2000  # videodev2.h
+_SOURCE, _START_OF_EXPOSURE = 0x70000, 0x10000  # videodev2.h
 _BUFFERS = 8  # choice: 80 ms of frames at 100 frames/s
 
 Ioctl = Callable[[int, int, bytearray], int]
@@ -98,6 +98,13 @@ class VideoDevice:
     """Open device at `path` that streams through buffers shared with the kernel.
 
     Raises OSError if the system refuses. `ioctl` is the system call, replaced in tests.
+
+    Parameters
+    ----------
+    path : str
+        Path of the device.
+    ioctl : Ioctl
+        The system call.
     """
 
     def __init__(self, path: str, ioctl: Ioctl = fcntl.ioctl) -> None:
@@ -130,7 +137,13 @@ class VideoDevice:
             os.close(self._file)
 
     def pixel_formats(self) -> list[str]:
-        """Return the four-character codes of its pixel formats, in the device's order."""
+        """Return the four-character codes of its pixel formats, in the device's order.
+
+        Returns
+        -------
+        list of str
+            The codes.
+        """
         found: list[str] = []
         with suppress(OSError):
             while True:
@@ -139,11 +152,32 @@ class VideoDevice:
         return found
 
     def layout(self) -> PixelLayout:
-        """Return the present layout."""
+        """Return the present layout.
+
+        Returns
+        -------
+        PixelLayout
+            The layout.
+        """
         return _layout(self._ask(G_FMT, _FORMAT, _CAPTURE, *[0] * 6))
 
     def lay_out(self, width: int, height: int, pixel_format: str) -> PixelLayout:
-        """Request `width`, `height` [px] and `pixel_format`; return the layout chosen."""
+        """Request `width`, `height` [px] and `pixel_format`; return the layout chosen.
+
+        Parameters
+        ----------
+        width : int
+            Width [px].
+        height : int
+            Height [px].
+        pixel_format : str
+            Four-character code.
+
+        Returns
+        -------
+        PixelLayout
+            The layout that the device chose.
+        """
         return _layout(self._ask(S_FMT, _FORMAT, _CAPTURE, width, height, _code(pixel_format), 0,
                                  0, 0))
 
@@ -151,12 +185,34 @@ class VideoDevice:
         """Request the region of `width` × `height` with its corner at `left`, `top` [px].
 
         Returns the region that the device chose, in the same order.
+
+        Parameters
+        ----------
+        left : int
+            Left edge [px].
+        top : int
+            Upper edge [px].
+        width : int
+            Width [px].
+        height : int
+            Height [px].
+
+        Returns
+        -------
+        tuple[int, int, int, int]
+            Region that the device chose [px].
         """
         told = self._ask(S_SELECTION, _SELECTION, _CAPTURE, _CROP, 0, left, top, width, height)
         return told[3], told[4], told[5], told[6]
 
     def frame_rate(self) -> float | None:
-        """Return the frame rate [Hz]; None if the device does not report it."""
+        """Return the frame rate [Hz]; None if the device does not report it.
+
+        Returns
+        -------
+        float or None
+            Rate [Hz], or None.
+        """
         try:
             _, can, _, part, whole = self._ask(G_PARM, _PARAMETERS, _CAPTURE, 0, 0, 0, 0)
         except OSError:
@@ -164,7 +220,18 @@ class VideoDevice:
         return whole / part if can & _TIME_PER_FRAME and part and whole else None
 
     def ask_frame_rate(self, rate: float) -> float | None:
-        """Request a `rate` [Hz]; return the one the device chose, or None if it cannot be set."""
+        """Request a `rate` [Hz]; return the one the device chose, or None if it cannot be set.
+
+        Parameters
+        ----------
+        rate : float
+            Rate [Hz].
+
+        Returns
+        -------
+        float or None
+            Rate [Hz], or None.
+        """
         try:
             self._ask(S_PARM, _PARAMETERS, _CAPTURE, 0, 0, 1000, round(rate * 1000))
         except OSError:
@@ -172,7 +239,18 @@ class VideoDevice:
         return self.frame_rate()
 
     def limits(self, control: int) -> tuple[int, int] | None:
-        """Return the lowest and highest value of a `control`; None if the device has none."""
+        """Return the lowest and highest value of a `control`; None if the device has none.
+
+        Parameters
+        ----------
+        control : int
+            Number of the control.
+
+        Returns
+        -------
+        tuple[int, int] or None
+            Lowest and highest value, or None.
+        """
         try:
             told = self._ask(QUERYCTRL, _LIMITS, control, 0, b'', 0, 0, 0, 0, 0)
         except OSError:
@@ -180,11 +258,30 @@ class VideoDevice:
         return None if told[7] & _DISABLED else (told[3], told[4])
 
     def set(self, control: int, value: int) -> None:
-        """Set a `control` to `value`."""
+        """Set a `control` to `value`.
+
+        Parameters
+        ----------
+        control : int
+            Number of the control.
+        value : int
+            Value of the control.
+        """
         self._ask(S_CTRL, _CONTROL, control, value)
 
     def get(self, control: int) -> int | None:
-        """Return the value of a `control`; None if the device has none."""
+        """Return the value of a `control`; None if the device has none.
+
+        Parameters
+        ----------
+        control : int
+            Number of the control.
+
+        Returns
+        -------
+        int or None
+            The value, or None.
+        """
         try:
             return int(self._ask(G_CTRL, _CONTROL, control, 0)[1])
         except OSError:
@@ -203,6 +300,16 @@ class VideoDevice:
         """Return the oldest filled buffer, or None if none is filled within `timeout` [s].
 
         The buffer goes back to the device with the next call.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        Captured or None
+            The buffer, or None.
         """
         if self._held is not None:
             index, self._held = self._held, None

@@ -31,7 +31,8 @@ _WRONG_PLACE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOT
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 _CLEAN_UP_S = 20
-"""How long a command that was told to end may take to clean up."""
+"""Time [s] that a command has to clean up when it is ended. Choice: more than the 15 s of the
+nodes."""
 
 # Command → the module that defines `command`, and one line for `microbot --help`.
 _COMMANDS = {
@@ -82,7 +83,10 @@ def microbot() -> None:
 
 
 def main() -> None:
-    """Run the command line: exit 0 done, 1 failed, 2 bad input with one line on standard error."""
+    """Run the command line and exit.
+
+    The exit status is 0 if done, 1 if failed, 2 for bad input, with one line on standard error.
+    """
     try:
         with _cleaned_up_on(signal.SIGTERM, signal.SIGHUP):
             status = microbot.main(standalone_mode=False)
@@ -111,7 +115,7 @@ def main() -> None:
 
 
 def script() -> None:
-    """What the program `microbot` runs: `main`, and then this process ends, whatever hangs."""
+    """Run the program `microbot`: `main`, and then end this process, whatever hangs."""
     try:
         main()
     except SystemExit as end:
@@ -128,9 +132,10 @@ def _failed(who: str, sentence: str, status: int) -> int:
 
 @contextmanager
 def _cleaned_up_on(*signals: int) -> Iterator[None]:
-    """Leave by way of what cleans up when the first of the `signals` comes, so that no folder
-    stays half filled. The process ends within `_CLEAN_UP_S` all the same: a library in C may
-    swallow the exception. Workers that were forked end at once.
+    """Raise SystemExit at the first of the signals, so that no folder stays half filled.
+
+    The process ends within `_CLEAN_UP_S` in any case: a library in C may swallow the exception.
+    Forked workers end at once.
     """
     ours = os.getpid()
 

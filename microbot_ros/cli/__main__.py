@@ -1,4 +1,4 @@
-"""`python -m microbot_ros.cli`, for machines where scripts are not on the path."""
+"""Entry point of `python -m microbot_ros.cli`, for machines without scripts on the path."""
 
 from microbot_ros.cli import script
 

@@ -1,4 +1,4 @@
-"""`microbot batch`: a laboratory's archive of recordings, on many cores or machines."""
+"""Command `microbot batch`: an archive of recordings, on many cores or machines."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ _COMMON = (
     click.option('--json', 'json_path', type=click.Path(path_type=Path),
                  help='Write a summary of the work and its results as JSON to this file.'),
 )
+"""Options of all tasks; numbers are the smallest allowed, by definition."""
 
 
 def _common_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -42,12 +43,12 @@ def _common_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.group()
 def command() -> None:
-    """Go through all recordings in folders, each once, on Dask distributed.
+    """Process all recordings in folders, each once, on Dask distributed.
 
-    Recordings are found by what files hold: session folders, MCAP recordings, films, tables. What
-    was done before is kept, whoever did it; a run that was stopped goes on where it was. An
-    archive.yaml with `rig`, `batch`, `kind` and `recorded` in any folder tells what only people
-    know, and options such as `pixel_size_um` for the folder, a file or a glob.
+    Recordings are found by the content of files: session folders, MCAP recordings, films, tables.
+    Earlier results are kept, and an interrupted run continues where it was. An archive.yaml in any
+    folder states `rig`, `batch`, `kind` and `recorded`, which no file contains, and options such
+    as `pixel_size_um` for the folder, a file or a glob.
 
     \b
     Examples:
@@ -69,9 +70,9 @@ def _track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_pa
            **common: Any) -> None:
     """Track every film: a video file, or a folder of images.
 
-    Each becomes a session in ARCHIVE/sessions, with the commands.csv and session.yaml that lie
-    beside the film. A film and the table of the same name are one recording: the session has the
-    film's tracks and the table's commands and scale, and both positions are compared.
+    Each film becomes a session in ARCHIVE/sessions, with the commands.csv and session.yaml beside
+    the film. A film and the table of the same name are one recording: the session has the film's
+    tracks and the table's commands and scale, and both positions are compared.
 
     \b
     Example:
@@ -107,10 +108,10 @@ def _fit(exposure_ms: float, folders: tuple[Path, ...], out: Path, workers: int 
 @answer_options
 def _discover(folders: tuple[Path, ...], out: Path, workers: int | None, scheduler: str | None,
               json_path: Path | None, **given: Any) -> None:
-    """Look for the missing effect in every session, and tell what recurs.
+    """Search every session for the missing effect, and report effects that recur.
 
-    Effects that recur are then measured in every session: which have them, which not, and
-    whether their parameters are common or vary by session.
+    Effects that recur are then measured in every session: which sessions have them, which do not,
+    and whether their parameters are common or vary by session.
 
     \b
     Example:
@@ -124,11 +125,11 @@ def _discover(folders: tuple[Path, ...], out: Path, workers: int | None, schedul
 @answer_options
 def _import(folders: tuple[Path, ...], out: Path, workers: int | None, scheduler: str | None,
             json_path: Path | None, **given: Any) -> None:
-    """Turn every table, spreadsheet or text, into a session in ARCHIVE/sessions.
+    """Convert every table, spreadsheet or text, into a session in ARCHIVE/sessions.
 
-    The options are those of `microbot import`, for all tables of which no archive.yaml states
-    others. Prints every assumption with the tables it was made for, and keeps it in session.yaml.
-    Tables of averages are no recordings; they are counted apart.
+    The options are those of `microbot import`, for all tables unless an archive.yaml states
+    others. Every assumption is printed with the tables it was made for, and kept in session.yaml.
+    Tables of averages are not recordings; they are counted separately.
 
     \b
     Example:
@@ -143,7 +144,7 @@ def _answered(given: dict[str, Any]) -> dict[str, Any]:
 
 def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: Path,
          workers: int | None, scheduler: str | None, json_path: Path | None) -> None:
-    """Do it, with progress, and say what came of it."""
+    """Run a task with progress and print the results."""
     # Many processes of one thread each: read by OpenBLAS when it is loaded, so from here.
     os.environ.setdefault('OMP_NUM_THREADS', '1')
     from rich.console import Console
@@ -184,7 +185,7 @@ def _counted(count: int, what: str) -> str:
 
 
 def _assumed(imported: dict[str, Any]) -> list[str]:
-    """A line for each assumption, with the recordings that it was made for."""
+    """Return a line for each assumption, with the recordings that it was made for."""
     from microbot_ros.archive.conclusions import listed
 
     lines = []
@@ -216,7 +217,7 @@ def _told(summary: Summary) -> list[str]:
 
 
 class _Shown:
-    """Progress on a `console`: a line that changes, and lines that stay."""
+    """Progress on a console: a line that changes, and lines that stay."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
@@ -230,7 +231,7 @@ class _Shown:
         self._status.stop()
 
     def report(self, progress: Progress) -> None:
-        """Show the `progress`."""
+        """Show progress."""
         if progress.note:
             self.console.print(progress.note, markup=False)
         elif not progress.total:

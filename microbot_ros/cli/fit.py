@@ -1,4 +1,4 @@
-"""`microbot fit`: v, φ and F of every particle of a recording, with their uncertainties."""
+"""Command `microbot fit`: v, φ and F of every particle of a recording, with uncertainties."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None
             force: bool) -> None:
     """Fit speed v, direction φ and force F of every particle of SESSION by maximum likelihood.
 
-    Diffusion, localisation error and the delay between command and motion are fitted with them.
-    Beside it stands the paper's recipe: terminal speed by linear regression over one straight
-    leg. Writes fit.json and fit.png; what the commands cannot tell apart is said.
+    Diffusion, localisation error and the delay between command and motion are fitted together with
+    them. For comparison the result also contains the paper's recipe: terminal speed by linear
+    regression over one straight leg. Writes fit.json and fit.png; parameters that the commands
+    cannot distinguish are reported.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""`microbot import`: what a laboratory has, as a session."""
+"""Command `microbot import`: tables of a laboratory as a session."""
 
 from __future__ import annotations
 
@@ -41,10 +41,22 @@ _OPTIONS = (
     click.option('--ignore-speed', is_flag=True,
                  help='Do not check the scale against the speeds in the table.'),
 )
+"""Options for an import; the range of the angle is a choice, ten turns."""
 
 
 def answer_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Adds to a `command` the options that answer what tables leave open; see `answers`."""
+    """Add to a command the options for facts that tables do not contain; see `answers`.
+
+    Parameters
+    ----------
+    command : callable
+        The command.
+
+    Returns
+    -------
+    callable
+        The command with the options.
+    """
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
@@ -58,13 +70,13 @@ def answer_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Write findings and assumptions as JSON to this file.')
 def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> None:
-    """Turn SOURCE into a session: a spreadsheet, a delimited text file, or a folder of them.
+    """Convert SOURCE into a session: a spreadsheet, a delimited text file, or a folder of them.
 
-    Finds robots side by side, below each other, or on a sheet each; times that are intervals;
-    decimal commas; pixels with y down, and their size where speeds in µm/s stand beside them;
-    units of angles; angles that turn clockwise. Prints what it assumed, keeps it in session.yaml,
-    and asks, by the name of an option, for what no file can tell. A stated pixel size that the
-    speeds in the table contradict is refused.
+    It recognises robots beside each other, below each other, or on separate sheets; times that are
+    intervals; decimal commas; pixels with y down, and their size if the table has speeds in µm/s;
+    units of angles; angles that increase clockwise. It prints its assumptions, keeps them in
+    session.yaml, and asks, by the name of an option, for facts that no file contains. A stated
+    pixel size that contradicts the speeds in the table is refused.
 
     \b
     Examples:
@@ -99,9 +111,24 @@ def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> No
 
 
 def answers(*, columns: tuple[str, ...], **given: Any) -> Answers:
-    """What the options of `answer_options`, `columns` and those `given` by name, say of a table.
+    """Return the facts on a table that the options of `answer_options` state.
 
-    InputError for a column's role that there is not.
+    Parameters
+    ----------
+    columns : tuple of str
+        Columns by role, as ROLE=NAME.
+    **given : object
+        Values of the other options.
+
+    Returns
+    -------
+    Answers
+        The facts.
+
+    Raises
+    ------
+    InputError
+        If a role of a column is unknown.
     """
     from microbot_ros.session.spreadsheets.stated import Stated
 

@@ -1,4 +1,4 @@
-"""`microbot info`: what is in a session."""
+"""Command `microbot info`: content of a session."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 @click.option('--repair', is_flag=True,
               help='Write the missing index and metadata of a recording that was cut off.')
 def command(session: Path, json_path: Path | None, figure: Path | None, repair: bool) -> None:
-    """Show what SESSION, a folder of CSV files or a recording, holds.
+    """Show the content of SESSION, a folder of CSV files or a recording.
 
-    Topics with their rates and gaps, missing frames, latency from exposure to the amplifier's
-    acknowledgement, and what the commands can teach about the particles. A recording that was
-    cut off is read as far as it goes.
+    It lists topics with their rates and gaps, missing frames, the latency from exposure to the
+    amplifier's acknowledgement, and the properties of the particles that the commands can
+    determine. A recording that was cut off is read as far as possible.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""What options of several commands have in common."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
@@ -23,18 +23,41 @@ force_option = click.option(
 
 
 class FiniteFloatRange(click.FloatRange):
-    """The type of a number within a range, in which NaN is not, as it is in click's own."""
+    """Type of a number within a range, without NaN, which click's own type accepts."""
 
     def convert(self, value: Any, param: click.Parameter | None,
                 ctx: click.Context | None) -> float:
-        """The number that `value` stands for; click's `BadParameter` where it is not allowed.
+        """Convert a value, or raise click's `BadParameter` if it is not allowed.
 
-        `param` and `ctx` are click's own, for its message.
+        Parameters
+        ----------
+        value : object
+            Value on the command line.
+        param : click.Parameter or None
+            Parameter, as click gives it.
+        ctx : click.Context or None
+            Context, as click gives it.
+
+        Returns
+        -------
+        float
+            The number.
         """
         number: float = super().convert(value, param, ctx)
         return number if math.isfinite(number) else self.fail(f'{value} is no number', param, ctx)
 
 
 def plausible_number(name: str) -> FiniteFloatRange:
-    """The type of an option for a number of that `name`, within what a rig can have."""
+    """Return the type of an option for a number within the plausible range of a rig.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity.
+
+    Returns
+    -------
+    FiniteFloatRange
+        The type.
+    """
     return FiniteFloatRange(*plausible_range(name))

@@ -1,4 +1,4 @@
-"""`microbot paper`: the paper's experiment, tables and figures beside the paper's own numbers."""
+"""Command `microbot paper`: the paper's experiment, tables and figures beside its own numbers."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> None:
     """Repeat the paper's three-particle experiment in simulation and compare.
 
-    The paper's recording is not available, so the rig is this project's Langevin simulation of
-    it. Both approaches (each particle's own force, the mean of the three) and both solvers
-    (first-order, Newton-Stokes) are held against it, beside the numbers that the paper prints.
+    The paper's recording is not available, so the rig is this project's Langevin simulation. Both
+    approaches (each particle's own force, the mean of the three) and both solvers (first-order,
+    Newton-Stokes) are compared with it, beside the numbers that the paper prints.
 
     \b
     Example:
@@ -59,7 +59,7 @@ def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> N
 
 
 def _show(console: Console, summary: dict[str, Any]) -> None:
-    """The two tables, on the terminal."""
+    """Print the two tables."""
     from rich.table import Table
 
     console.print('A simulation of the experiment; the paper measured real particles.')

@@ -1,4 +1,4 @@
-"""`microbot reach`: what particles under one field can and cannot reach."""
+"""Command `microbot reach`: targets that particles under one field can and cannot reach."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _PAIR = 'X_UM,Y_UM'
 _FARTHEST = 1e6
-"""Micrometres and seconds beyond which nobody measures, and numbers would overflow."""
+"""Largest coordinate [µm] and time [s]. Choice: a metre, beyond which numbers could overflow."""
 
 
 @click.command()
@@ -46,8 +46,9 @@ _FARTHEST = 1e6
 def command(model_file: Path | None, particles: tuple[str, ...], places: tuple[str, ...],
             goals: tuple[str, ...], alignment_times_s: str | None, seconds: float,
             field_mt: float, figure: Path | None, json_file: Path | None) -> None:
-    """What N particles under one field can reach, the floor of their error, and what lag,
-    field strength and switching the field off open beyond it.
+    """Compute what N particles under one field can reach, and the floor of their error.
+
+    It also computes what lag, field strength and switching the field off open beyond that floor.
 
     \b
     Example, two particles whose alignment times differ:

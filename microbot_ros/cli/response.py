@@ -1,4 +1,4 @@
-"""`microbot response`: speed, turning and slip at each plateau of what was commanded."""
+"""Command `microbot response`: speed, turning and slip at each plateau of the command."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ _OUTPUTS = ('response.csv', 'response.json', 'response.parquet', 'response.png',
 @force_option
 def command(sources: tuple[Path, ...], out: Path, against: Against, definition: Definition,
             json_path: Path | None, force: bool) -> None:
-    """Measure how fast robots move at each plateau of what was commanded.
+    """Measure how fast robots move at each plateau of the command.
 
-    Takes sessions, or an archive that `microbot batch import` or `track` has filled. For every
-    robot and plateau: speed along and across the command, slip angle and turning, with 95 %
-    intervals and the number of independent samples; by robot, kind and day, with cut-in and
-    step-out by the law of `drive_response`. Frames after a change and turns are left out.
+    SESSION or ARCHIVE are sessions, or an archive filled by `microbot batch import` or `track`.
+    The result contains for every robot and plateau the speed along and across the command, slip
+    angle and turning, with 95 % intervals and the number of independent samples; by robot, kind
+    and day, with cut-in and step-out by the law of `drive_response`. Frames after a change and
+    turns are left out.
 
     \b
     Examples:
@@ -94,7 +95,7 @@ def command(sources: tuple[Path, ...], out: Path, against: Against, definition: 
 
 
 def _sessions(sources: tuple[Path, ...]) -> list[Path]:
-    """The sessions among `sources`, and those in archives; InputError for what is neither."""
+    """Return the sessions in `sources`, and in archives there; InputError for anything else."""
     from microbot_ros.archive.recordings import MARK
     from microbot_ros.archive.work import SESSIONS
     from microbot_ros.common.errors import InputError
@@ -129,7 +130,7 @@ def _labelled(path: Path) -> Labelled:
 
 
 def _write_parquet(found: object, folder: Path) -> bool:
-    """Write the rows as Parquet; False where PyArrow is not installed."""
+    """Write the rows as Parquet; return False if PyArrow is not installed."""
     from importlib.util import find_spec
 
     if find_spec('pyarrow') is None:

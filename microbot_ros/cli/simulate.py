@@ -1,4 +1,4 @@
-"""`microbot simulate`: the physics, with any effects, as a session."""
+"""Command `microbot simulate`: the physics, with any effects, as a session."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool)
     """Simulate SCENARIO.yaml: particles, fluid, camera, commands and any hidden effects.
 
     The physics is langevin (Brownian particles with torques and flows at millisecond steps),
-    first_order (the fitted model itself, without chance) or newton_stokes (with inertia).
+    first_order (the fitted model itself, without random motion) or newton_stokes (with inertia).
 
     \b
     Examples:

@@ -58,7 +58,7 @@ class _OneAtATime(caching.IndexDataCacheFile):
             yield
 
 
-_PACKAGE = Path(__file__).parents[1]
+_PACKAGE = Path(__file__).parents[1]  # the package's own folder
 _IMPORTED = re.compile(
     rb'^\s*(?:from|import) microbot_ros(\.[\w.]+)?(?: import (\([^)]*|.*))?', re.MULTILINE)
 
@@ -77,7 +77,18 @@ def _imported(file: Path) -> frozenset[Path]:
 
 @cache
 def digest(file: Path) -> str:
-    """Return the digest of a package `file` and of all package files that it imports."""
+    """Return the digest of a package `file` and of all package files that it imports.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+
+    Returns
+    -------
+    str
+        Hexadecimal digest.
+    """
     found, new = {file}, {file}
     while new:
         new = {path for one in new for path in _imported(one)} - found

@@ -28,6 +28,11 @@ class Stopped(BaseException):
     """A signal of this `number` asked the process to end.
 
     No subclass of Exception, so that no handler swallows it.
+
+    Parameters
+    ----------
+    number : int
+        Number of the signal.
     """
 
     def __init__(self, number: int) -> None:
@@ -42,6 +47,11 @@ def find_launcher() -> int | None:
     `microbot` and our launch files name it in the environment. `ros2` does not; its children are
     recognised by their parent. A node started from a shell, in the background or with `nohup` or
     `setsid`, survives the shell.
+
+    Returns
+    -------
+    int or None
+        Process id, or None.
     """
     named = os.environ.get(PARENT)
     if named:
@@ -61,6 +71,13 @@ class Ending:
     process `launcher` set `due` and call `at_once` in a separate thread. A Python signal handler
     would wait until the main thread returns from the library that it is in, and could not take a
     lock that the main thread holds.
+
+    Parameters
+    ----------
+    at_once : callable
+        Function that is called at the end.
+    launcher : int or None
+        Process whose end ends this one too; None for none.
     """
 
     def __init__(self, at_once: Callable[[], None] = lambda: None,
@@ -100,6 +117,10 @@ class Ending:
         """Context in which a signal raises Stopped; outside it, as in clean-up, none interrupts.
 
         A library in C may swallow the exception; `due` and `at_once` do not depend on it.
+
+        Yields
+        ------
+        None
         """
         try:
             self._interruptible = True

@@ -20,6 +20,15 @@ class InputError(ValueError):
 
     The message is one line: place, what was expected, what was found. Commands print it on
     standard error and exit with 2.
+
+    Parameters
+    ----------
+    source : str or Path
+        File, option or device.
+    expected : str
+        What was expected, and what was found.
+    line : int or None
+        Line of the file; None for none.
     """
 
     def __init__(self, source: str | Path, expected: str, line: int | None = None) -> None:
@@ -51,22 +60,68 @@ class ReportError(RuntimeError):
 
 
 def one_line(text: str) -> str:
-    """Return `text` with everything unprintable escaped, as one line for a terminal."""
+    """Return `text` with everything unprintable escaped, as one line for a terminal.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+
+    Returns
+    -------
+    str
+        One line.
+    """
     return ''.join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def shown(value: object) -> str:
-    """Return the representation of a received `value` in at most 80 characters."""
+    """Return the representation of a received `value` in at most 80 characters.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+
+    Returns
+    -------
+    str
+        The representation.
+    """
     return clipped(_short.repr(value))
 
 
 def clipped(text: str) -> str:
-    """Return `text`, cut to 80 characters with an ellipsis if it is longer."""
+    """Return `text`, cut to 80 characters with an ellipsis if it is longer.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+
+    Returns
+    -------
+    str
+        At most 80 characters.
+    """
     return text if len(text) <= _SHOWN else f'{text[:_SHOWN - 1]}…'
 
 
 def known(names: Iterable[str], received: str) -> str:
-    """List the `names`, or if they are too many the five nearest to the one `received`."""
+    """List the `names`, or if they are too many the five nearest to the one `received`.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Valid names.
+    received : str
+        Name that was received.
+
+    Returns
+    -------
+    str
+        The list as text.
+    """
     listed = sorted(names)
     if len(', '.join(listed)) <= _LISTED:
         return f'known are: {", ".join(listed)}'

@@ -20,7 +20,18 @@ EXTRAS = {
 
 
 def advice(error: ImportError) -> str | None:
-    """Return what to install after an import `error`; None if no extra brings the library."""
+    """Return what to install after an import `error`; None if no extra brings the library.
+
+    Parameters
+    ----------
+    error : ImportError
+        The error.
+
+    Returns
+    -------
+    str or None
+        The sentence, or None.
+    """
     library = (error.name or '').partition('.')[0]
     if library not in EXTRAS:
         return None
@@ -29,7 +40,18 @@ def advice(error: ImportError) -> str | None:
 
 
 def lack(*extras: str) -> str:
-    """Return which libraries of `extras` are missing and how to install them; '' if none."""
+    """Return which libraries of `extras` are missing and how to install them; '' if none.
+
+    Parameters
+    ----------
+    *extras : str
+        Names of extras.
+
+    Returns
+    -------
+    str
+        The sentence, or ''.
+    """
     missing = [library for library, extra in EXTRAS.items()
                if extra in extras and find_spec(library) is None]
     needed = ','.join(dict.fromkeys(EXTRAS[library] for library in missing))
@@ -42,6 +64,11 @@ def require(*extras: str) -> None:
     """Raise InputError with installation advice if a library of these `extras` is missing.
 
     For commands that would otherwise fail only after minutes of work.
+
+    Parameters
+    ----------
+    *extras : str
+        Names of extras.
     """
     if problem := lack(*extras):
         raise InputError('', problem)

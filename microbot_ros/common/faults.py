@@ -28,7 +28,13 @@ class Remedy:
 
 @cache
 def catalogue() -> dict[str, dict[str, tuple[str, str]]]:
-    """Return the catalogue: part of the rig → sentence → (cause, cure)."""
+    """Return the catalogue: part of the rig → sentence → (cause, cure).
+
+    Returns
+    -------
+    dict[str, dict[str, tuple[str, str]]]
+        Cause and cure by sentence, by part of the rig.
+    """
     parts = yaml.load(CATALOGUE.read_text(encoding='utf-8'), Loader=_LOADER)
     return {part: {sentence: (cause, cure) for sentence, (cause, cure) in known.items()}
             for part, known in parts.items()}
@@ -39,6 +45,16 @@ def remedy(sentence: str) -> Remedy | None:
     """Return the remedy for a node's `sentence`, matched whole or in parts between separators.
 
     If several match, the longest is returned; None if the sentence is unknown.
+
+    Parameters
+    ----------
+    sentence : str
+        The sentence.
+
+    Returns
+    -------
+    Remedy or None
+        Cause and cure, or None.
     """
     parts = {part.rstrip('.') for text in {sentence, _PARAMETERS.sub('', sentence)}
              for part in _parts(text)}

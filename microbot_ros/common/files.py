@@ -42,6 +42,18 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
 
     Raises InputError naming file, line, key and what was expected if the file is missing, is not
     YAML or does not fit.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to read or write.
+    settings : type[SettingsT]
+        Class of the content.
+
+    Returns
+    -------
+    SettingsT
+        The content.
     """
     path = Path(path)
     tree, content = load_yaml(path)
@@ -63,6 +75,18 @@ def load_yaml(path: str | Path, loader: type[strict_yaml.StrictLoader] = strict_
     """Return the tree of the YAML file `path` and its content as `loader` builds it, unchecked.
 
     Raises InputError with file and line if the file is missing or not plain YAML.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to read or write.
+    loader : type[strict_yaml.StrictLoader]
+        Class that builds the content.
+
+    Returns
+    -------
+    tuple[yaml.Node or None, object]
+        Root of the tree, None for an empty file, and the content.
     """
     path = Path(path)
     try:
@@ -78,7 +102,20 @@ def load_yaml(path: str | Path, loader: type[strict_yaml.StrictLoader] = strict_
 
 
 def line_of(path: str | Path, *keys: int | str) -> int | None:
-    """Return the line of the YAML file `path` at the path of `keys`, as far as it exists."""
+    """Return the line of the YAML file `path` at the path of `keys`, as far as it exists.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to read or write.
+    *keys : int or str
+        Keys and indices from the root on.
+
+    Returns
+    -------
+    int or None
+        Line from 1; None if there is no tree.
+    """
     return _line_of(load_yaml(path)[0], keys)
 
 
@@ -112,7 +149,15 @@ def _line_of(tree: yaml.Node | None, location: tuple[int | str, ...]) -> int | N
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write `text` to `path` atomically: readers see the old content or the new one."""
+    """Write `text` to `path` atomically: readers see the old content or the new one.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to read or write.
+    text : str
+        The content.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
@@ -134,6 +179,15 @@ def writing_report(path: Path) -> Iterator[None]:
 
     Any exception becomes a ReportError that names its place in the code, and an earlier report of
     that name is removed, since it does not belong to the new results.
+
+    Parameters
+    ----------
+    path : Path
+        The report.
+
+    Yields
+    ------
+    None
     """
     try:
         yield
@@ -147,7 +201,17 @@ def writing_report(path: Path) -> Iterator[None]:
 
 
 def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None:
-    """Raise InputError if `folder` has files of these `names`, unless `force`."""
+    """Raise InputError if `folder` has files of these `names`, unless `force`.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    names : iterable of str
+        Names of files.
+    force : bool
+        Whether to accept them.
+    """
     there = [name for name in names if (folder / name).exists()]
     if there and not force:
         raise InputError(folder, f'expected a folder without {", ".join(there)}; --force replaces '
@@ -160,6 +224,16 @@ def output_folder(path: str | Path) -> Iterator[Path]:
 
     Files are written to a hidden sibling. On success they move into `path` one by one, replacing
     files of the same name and keeping others; on any exception nothing remains of them.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder.
+
+    Yields
+    ------
+    Path
+        Hidden folder to fill.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():

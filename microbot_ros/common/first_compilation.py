@@ -11,7 +11,13 @@ _who_tells: list[tuple[int, Callable[[str], None]]] = []
 
 
 def tell_of_compiling(tell: Callable[[str], None]) -> None:
-    """Call `tell` with a sentence once this process compiles code that is not cached."""
+    """Call `tell` with a sentence once this process compiles code that is not cached.
+
+    Parameters
+    ----------
+    tell : callable
+        Function that is called with the sentence.
+    """
     _who_tells[:] = [(os.getpid(), tell)]
 
 

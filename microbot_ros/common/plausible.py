@@ -35,13 +35,37 @@ _SIZES = {
 }
 
 def plausible_range(name: str) -> tuple[float, float]:
-    """Return the smallest and largest plausible number `name`, in the unit of the name."""
+    """Return the smallest and largest plausible number `name`, in the unit of the name.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, which ends in its unit.
+
+    Returns
+    -------
+    tuple[float, float]
+        Smallest and largest number.
+    """
     size = _SIZES.get(suffix(name), math.inf)
     return _RANGES.get(name, (-size, size))
 
 
 def implausible(name: str, values: np.ndarray) -> np.ndarray:
-    """Return which of the `values` (...) of `name`, in its unit, are implausible."""
+    """Return which of the `values` (...) of `name`, in its unit, are implausible.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, which ends in its unit.
+    values : ndarray
+        Numbers, of any shape.
+
+    Returns
+    -------
+    ndarray
+        Whether each is implausible, of the same shape.
+    """
     low, high = plausible_range(name)
     return ~((low <= values) & (values <= high))
 
@@ -50,6 +74,13 @@ def check_plausible(name: str, value: object) -> None:
     """Raise ValueError, naming the expected range, for an implausible finite number `name`.
 
     `value` may also be a nested sequence of numbers; anything else passes.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, which ends in its unit.
+    value : object
+        A number, or a nested sequence of numbers.
     """
     if isinstance(value, list | tuple):
         for item in value:
@@ -62,6 +93,17 @@ def check_plausible(name: str, value: object) -> None:
 
 
 def expected_range(name: str) -> str:
-    """Return a phrase with the plausible range of `name`, for messages."""
+    """Return a phrase with the plausible range of `name`, for messages.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, which ends in its unit.
+
+    Returns
+    -------
+    str
+        The phrase.
+    """
     low, high = plausible_range(name)
     return f'expected {low:g} to {high:g} {symbol(name)}'.rstrip()

@@ -14,6 +14,20 @@ def installed(group: str, what: str, name: str) -> Any:
 
     Raises InputError if the name is not registered or its object cannot be loaded; nothing else is
     tried.
+
+    Parameters
+    ----------
+    group : str
+        Name of the group.
+    what : str
+        Kind of the object, for messages.
+    name : str
+        Name of the object.
+
+    Returns
+    -------
+    object
+        The object.
     """
     found = {entry.name: entry for entry in entry_points(group=group)}
     if name not in found:

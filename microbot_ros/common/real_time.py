@@ -18,6 +18,18 @@ def set_realtime_priority(thread: int = 0, priority: int = SAFETY) -> bool:
 
     0 is the calling thread; a process id is that of its main thread. `priority` is that of
     SCHED_FIFO, 1 to 99.
+
+    Parameters
+    ----------
+    thread : int
+        Thread id; 0 for the calling thread.
+    priority : int
+        Priority of SCHED_FIFO, 1 to 99.
+
+    Returns
+    -------
+    bool
+        Whether it was granted.
     """
     try:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
@@ -31,6 +43,11 @@ def set_realtime_priority_of_all(priority: int) -> None:
 
     The middleware's too: a fast thread would otherwise wait for a slow one that holds the
     interpreter.
+
+    Parameters
+    ----------
+    priority : int
+        Priority of SCHED_FIFO, 1 to 99.
     """
     with suppress(OSError):
         for task in Path('/proc/self/task').iterdir():
@@ -42,6 +59,18 @@ def lateness(seconds: float, tick_s: float) -> list[float]:
     """Return how late [s] this thread wakes from waits of `tick_s`, repeated for `seconds`.
 
     A dead-man switch that waits like this adds that delay to its own times.
+
+    Parameters
+    ----------
+    seconds : float
+        Duration of the test [s].
+    tick_s : float
+        Length of a wait [s].
+
+    Returns
+    -------
+    list of float
+        Delay of each wait [s].
     """
     waiting, late = threading.Event(), []
     end = time.monotonic() + seconds
@@ -53,7 +82,17 @@ def lateness(seconds: float, tick_s: float) -> list[float]:
 
 @contextmanager
 def realtime_priority(priority: int) -> Iterator[None]:
-    """Context in which all threads have at least this `priority` (SCHED_FIFO)."""
+    """Context in which all threads have at least this `priority` (SCHED_FIFO).
+
+    Parameters
+    ----------
+    priority : int
+        Priority of SCHED_FIFO, 1 to 99.
+
+    Yields
+    ------
+    None
+    """
     set_realtime_priority_of_all(priority)
     try:
         yield

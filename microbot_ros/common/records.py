@@ -39,7 +39,18 @@ class Tracks:
         return np.unique(self.particle)
 
     def of(self, particles: int | np.ndarray) -> Tracks:
-        """Return the rows of one particle, or of several `particles` (P,)."""
+        """Return the rows of one particle, or of several `particles` (P,).
+
+        Parameters
+        ----------
+        particles : int or ndarray
+            Identity of one particle, or identities (P,).
+
+        Returns
+        -------
+        Tracks
+            Rows of these.
+        """
         rows = np.isin(self.particle, particles)
         return Tracks(
             self.t[rows], self.particle[rows], self.position[rows], self.theta[rows],
@@ -47,7 +58,13 @@ class Tracks:
         )
 
     def grid(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return frame times (T,) and positions (T, N, 2) by `particles`, NaN in gaps."""
+        """Return frame times (T,) and positions (T, N, 2) by `particles`, NaN in gaps.
+
+        Returns
+        -------
+        tuple[ndarray, ndarray]
+            Times (T,) [s] and positions (T, N, 2) [m].
+        """
         times, row = np.unique(self.t, return_inverse=True)
         ids, column = np.unique(self.particle, return_inverse=True)
         positions = np.full((len(times), len(ids), 2), np.nan)
@@ -77,15 +94,48 @@ class Commands:
     tilt: np.ndarray | None = None
 
     def index_at(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the row in force at each time `t`; −1 before the first."""
+        """Return the row in force at each time `t`; −1 before the first.
+
+        Parameters
+        ----------
+        t : ndarray or float
+            Times, of any shape [s].
+
+        Returns
+        -------
+        ndarray
+            Row numbers, of the same shape.
+        """
         return np.searchsorted(self.t, t, side='right') - 1
 
     def field_at(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the field [T] at times `t` of shape (...), shape (..., 2)."""
+        """Return the field [T] at times `t` of shape (...), shape (..., 2).
+
+        Parameters
+        ----------
+        t : ndarray or float
+            Times, of any shape [s].
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Field [T].
+        """
         return np.vstack([np.zeros(2), self.field])[self.index_at(t) + 1]
 
     def frequency_at(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the rotation frequency [Hz] at times `t` (...); 0 without rotation."""
+        """Return the rotation frequency [Hz] at times `t` (...); 0 without rotation.
+
+        Parameters
+        ----------
+        t : ndarray or float
+            Times, of any shape [s].
+
+        Returns
+        -------
+        ndarray
+            Frequency [Hz], of the same shape.
+        """
         index = self.index_at(t)
         if self.frequency is None:
             return np.zeros(np.shape(index))
@@ -131,6 +181,18 @@ def height_problem(height_um: float | None, radius_um: float | None) -> str:
     """Return a message if `height_um` is not more than `radius_um` [µm], else ''.
 
     '' also if either is unknown (None or 0).
+
+    Parameters
+    ----------
+    height_um : float or None
+        Height above the floor [µm]; None or 0 for unknown.
+    radius_um : float or None
+        Radius of the particles [µm]; None or 0 for unknown.
+
+    Returns
+    -------
+    str
+        The message, or ''.
     """
     if not (height_um and radius_um) or height_um > radius_um:
         return ''

@@ -42,6 +42,26 @@ def setting(
 
     `default`, `description`, `lower`, `upper` and `choices` as in `About`. `read_only` settings
     are fixed at start-up: safety limits, device names.
+
+    Parameters
+    ----------
+    default : object
+        Default value.
+    description : str
+        Sentence for people.
+    lower : float or None
+        Smallest value; None for no limit.
+    upper : float or None
+        Largest value; None for no limit.
+    choices : tuple of str
+        Allowed values; empty for any.
+    read_only : bool
+        Whether the value is fixed at start-up.
+
+    Returns
+    -------
+    dataclasses.Field
+        The field.
     """
     about = About(description, lower, upper, choices, read_only)
     if isinstance(default, list):
@@ -50,13 +70,37 @@ def setting(
 
 
 def about(settings: type, name: str) -> About:
-    """Return the description of the field `name` of the dataclass `settings`."""
+    """Return the description of the field `name` of the dataclass `settings`.
+
+    Parameters
+    ----------
+    settings : type
+        Dataclass with the settings.
+    name : str
+        Name of the field.
+
+    Returns
+    -------
+    About
+        The description.
+    """
     found: About = settings.__dataclass_fields__[name].metadata['about']  # type: ignore[attr-defined]
     return found
 
 
 def defaults(settings: type) -> dict[str, Any]:
-    """Return the default of each field of a `settings` class, in its order."""
+    """Return the default of each field of a `settings` class, in its order.
+
+    Parameters
+    ----------
+    settings : type
+        Dataclass with the settings.
+
+    Returns
+    -------
+    dict of str to object
+        Default by name.
+    """
     return {
         field.name: field.default_factory() if callable(field.default_factory) else field.default
         for field in dataclasses.fields(settings)
@@ -68,6 +112,20 @@ def convert(settings: type, name: str, value: Any) -> Any:
 
     An integer is accepted for a float. Raises ValueError with what was expected for another type,
     NaN, infinity, and a value outside the range or the choices.
+
+    Parameters
+    ----------
+    settings : type
+        Dataclass with the settings.
+    name : str
+        Name of the field.
+    value : object
+        The value.
+
+    Returns
+    -------
+    object
+        The converted value.
     """
     default = defaults(settings)[name]
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):

@@ -8,17 +8,24 @@ import yaml
 
 from microbot_ros.common.errors import clipped
 
-# Choices, beyond what people write and harmless for memory; nodes with all aliases expanded.
-LARGEST_BYTES = 2**24
-_DEEPEST = 40
-_MOST_NODES = 1_000_000
-_LONGEST_NUMBER = 400
+LARGEST_BYTES = 2**24  # choice: 16 MiB, far more than people write
+_DEEPEST = 40  # choice: levels, far more than any file of settings has
+_MOST_NODES = 1_000_000  # choice: with all aliases expanded, harmless for memory
+_LONGEST_NUMBER = 400  # choice: digits, more than any double needs
 _WRONG_TAG = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 """Errors of PyYAML for values such as `!!int x` or a date in month 13."""
 
 
 class YamlError(ValueError):
-    """Text that is not plain YAML: the `problem` as a phrase, and its `line` if known."""
+    """Text that is not plain YAML: the `problem` as a phrase, and its `line` if known.
+
+    Parameters
+    ----------
+    problem : str
+        What is wrong, as a phrase.
+    line : int or None
+        Line from 1; None for unknown.
+    """
 
     def __init__(self, problem: str, line: int | None = None) -> None:
         self.problem, self.line = problem, line
@@ -29,6 +36,11 @@ class StrictLoader(yaml.SafeLoader):
     """Safe loader of PyYAML for a text `stream`, with limits on depth, aliases and digits.
 
     Duplicate keys in a mapping are errors, as in the standard.
+
+    Parameters
+    ----------
+    stream : object
+        The text.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -37,7 +49,20 @@ class StrictLoader(yaml.SafeLoader):
         self._written_out: dict[str, int] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Return the next node below `parent` at `index`, counting expanded aliases."""
+        """Return the next node below `parent` at `index`, counting expanded aliases.
+
+        Parameters
+        ----------
+        parent : yaml.Node or None
+            Node above.
+        index : object
+            Place below the parent.
+
+        Returns
+        -------
+        yaml.Node or None
+            The node; None at the end.
+        """
         event = self.peek_event()
         before, self._nodes = self._nodes, self._nodes + 1
         if isinstance(event, yaml.AliasEvent):
@@ -57,14 +82,36 @@ class StrictLoader(yaml.SafeLoader):
         return node
 
     def compose_scalar_node(self, anchor: Any) -> yaml.ScalarNode:
-        """Return a scalar with an `anchor`, unless it is a number of too many digits."""
+        """Return a scalar with an `anchor`, unless it is a number of too many digits.
+
+        Parameters
+        ----------
+        anchor : object
+            Anchor of the node; None for none.
+
+        Returns
+        -------
+        yaml.ScalarNode
+            The node.
+        """
         node = super().compose_scalar_node(anchor)
         if node.tag.endswith((':int', ':float')) and len(node.value) > _LONGEST_NUMBER:
             _refuse(f'expected a number of at most {_LONGEST_NUMBER} digits', node.start_mark)
         return node
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        """Return a mapping with an `anchor`, whose keys must all be different."""
+        """Return a mapping with an `anchor`, whose keys must all be different.
+
+        Parameters
+        ----------
+        anchor : object
+            Anchor of the node; None for none.
+
+        Returns
+        -------
+        yaml.MappingNode
+            The node.
+        """
         node = super().compose_mapping_node(anchor)
         seen: set[tuple[str, str]] = set()
         for key, _ in node.value:
@@ -79,6 +126,18 @@ def load(text: str, loader: type[StrictLoader] = StrictLoader) -> tuple[yaml.Nod
     """Return the tree of the one document in `text`, and its content as built by `loader`.
 
     Raises YamlError if it is not YAML or exceeds the limits.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+    loader : type[StrictLoader]
+        Class that builds the content.
+
+    Returns
+    -------
+    tuple[yaml.Node or None, object]
+        Root of the tree, None for an empty text, and the content.
     """
     if len(text) > LARGEST_BYTES:
         raise YamlError(f'at most {LARGEST_BYTES // 2**20} MB')

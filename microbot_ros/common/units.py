@@ -59,24 +59,72 @@ _BY_LENGTH = sorted(_SUFFIXES, key=len, reverse=True)
 
 @cache
 def suffix(name: str) -> str:
-    """Return the unit suffix of `name`, or '' if it has none: `suffix('wx_um_s') == '_um_s'`."""
+    """Return the unit suffix of `name`, or '' if it has none: `suffix('wx_um_s') == '_um_s'`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, which ends in its unit.
+
+    Returns
+    -------
+    str
+        The suffix, or ''.
+    """
     return next((s for s in _BY_LENGTH if name.endswith(s)), '')
 
 
 def symbol(name: str) -> str:
-    """Return the symbol of the unit that `name` carries: `symbol('wx_um_s') == 'µm/s'`."""
+    """Return the symbol of the unit that `name` carries: `symbol('wx_um_s') == 'µm/s'`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, which ends in its unit.
+
+    Returns
+    -------
+    str
+        The symbol, '' for no unit.
+    """
     ending = suffix(name)
     return _SUFFIXES[ending][1] if ending else ''
 
 
 def to_si(name: str, value: Number) -> Number:
-    """Convert `value` from the unit of its `name` to SI: `to_si('x_um', 2.0) == 2e-6`."""
+    """Convert `value` from the unit of its `name` to SI: `to_si('x_um', 2.0) == 2e-6`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, which ends in its unit.
+    value : Number
+        A number or an array, in the unit of the name.
+
+    Returns
+    -------
+    Number
+        The same in SI.
+    """
     ending = suffix(name)
     return value * _SUFFIXES[ending][0] if ending else value
 
 
 def from_si(name: str, value: Number) -> Number:
-    """Convert `value` from SI to the unit of its `name`: `from_si('x_um', 2e-6) == 2.0`."""
+    """Convert `value` from SI to the unit of its `name`: `from_si('x_um', 2e-6) == 2.0`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, which ends in its unit.
+    value : Number
+        A number or an array, in SI.
+
+    Returns
+    -------
+    Number
+        The same in the unit of the name.
+    """
     ending = suffix(name)
     return value / _SUFFIXES[ending][0] if ending else value
 
@@ -85,12 +133,37 @@ def exact_si(name: str, value: Decimal | float | str) -> float:
     """Convert `value` from the unit of its `name` to SI, rounded once: 3.7 µm is the float 3.7e-6.
 
     Raises ArithmeticError for a text that is not a number.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, which ends in its unit.
+    value : Decimal or float or str
+        A number or its text, in the unit of the name.
+
+    Returns
+    -------
+    float
+        The same in SI.
     """
     return float(Decimal(str(value)) * _factor(name))
 
 
 def exact_display(name: str, value: float) -> Decimal:
-    """Convert `value` from SI to the unit of its `name`, exactly: inverse of `exact_si`."""
+    """Convert `value` from SI to the unit of its `name`, exactly: inverse of `exact_si`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, which ends in its unit.
+    value : float
+        A number in SI.
+
+    Returns
+    -------
+    Decimal
+        The same in the unit of the name.
+    """
     return Decimal(repr(value)) / _factor(name)
 
 

@@ -121,12 +121,25 @@ class Workspace:
         """Return whether each `position` (..., 2) [m] lies inside, `margin` [m] from the edge.
 
         NaN does not.
+
+        Parameters
+        ----------
+        position : ndarray, shape (..., 2)
+            Positions [m].
+        margin : float
+            Distance from the edge [m].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Whether each lies inside.
         """
         inside = (self.low + margin <= position) & (position <= self.high - margin)
         return np.asarray(inside.all(-1))
 
 
 NO_IDS, NO_PLACES = np.empty(0, int), np.empty((0, 2))
+"""Empty arrays of ids and of places (0, 2) [m]."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +222,18 @@ class ControllerInput:
     plan: Commands | None = None
 
     def index(self, particle: int) -> int:
-        """Return the row of a `particle`; ParticleLostError if it is not tracked."""
+        """Return the row of a `particle`; ParticleLostError if it is not tracked.
+
+        Parameters
+        ----------
+        particle : int
+            Identity of the particle.
+
+        Returns
+        -------
+        int
+            Its row.
+        """
         rows = np.flatnonzero(self.ids == particle)
         if not rows.size:
             raise ParticleLostError(f'particle {particle} is not tracked')
@@ -231,7 +255,18 @@ class ControllerInput:
             raise ModelError('drives self-propelled particles; the model is of rollers')
 
     def learned(self, phi_std: float) -> np.ndarray:
-        """Return which particles (N,) have a known φ, to a standard deviation `phi_std` [rad]."""
+        """Return which particles (N,) have a known φ, to a standard deviation `phi_std` [rad].
+
+        Parameters
+        ----------
+        phi_std : float
+            Largest standard deviation [rad].
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Whether each is known.
+        """
         return np.isfinite(self.phi) & (self.phi_std <= phi_std)
 
 
@@ -307,7 +342,20 @@ class FieldCommand:
 
 
 def no_field(message: str, done: bool = False) -> FieldCommand:
-    """Return a command of zero field with a `message` and `done` as its progress."""
+    """Return a command of zero field with a `message` and `done` as its progress.
+
+    Parameters
+    ----------
+    message : str
+        Text for people.
+    done : bool
+        Whether the goals are reached.
+
+    Returns
+    -------
+    FieldCommand
+        The command.
+    """
     return FieldCommand(np.zeros(2), progress=Progress(message, done))
 
 
@@ -337,7 +385,18 @@ class Controller(ABC):
 
     @classmethod
     def accepts(cls, what: Input) -> bool:
-        """Return whether it uses the input `what`."""
+        """Return whether it uses the input `what`.
+
+        Parameters
+        ----------
+        what : Input
+            The input.
+
+        Returns
+        -------
+        bool
+            Whether it does.
+        """
         return cls.takes is None or what in cls.takes
 
     def __init__(self) -> None:
@@ -347,6 +406,11 @@ class Controller(ABC):
         """Take `parameters`, each already within its range; ValueError refuses all of them.
 
         Heavy imports and file reading belong here: ticks have no time for them.
+
+        Parameters
+        ----------
+        parameters : object
+            The parameters.
         """
         self.parameters = parameters
 
@@ -354,11 +418,27 @@ class Controller(ABC):
         """Prepare to take over from the command in `inputs.field`.
 
         Raise a ControllerError if something indispensable is missing: the switch is refused.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
         """
 
     @abstractmethod
     def compute(self, inputs: ControllerInput) -> FieldCommand:
-        """Return the command of this tick, within `inputs.limits`."""
+        """Return the command of this tick, within `inputs.limits`.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+
+        Returns
+        -------
+        FieldCommand
+            The command.
+        """
 
     def deactivate(self) -> None:  # noqa: B027
         """Stop driving: another controller takes over. State may be kept until the next time."""

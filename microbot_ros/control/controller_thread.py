@@ -73,6 +73,13 @@ class ControllerThread:
         Returns when it is ready. Raises ConfiguringError if that takes more than `seconds`: it
         continues, and preparing the same parameters again finds it. Raises what `configure`
         raises.
+
+        Parameters
+        ----------
+        parameters : object
+            Parameters of the controller.
+        seconds : float
+            Longest time to wait [s].
         """
         if self._prepared is None or self._prepared[0] != parameters:
             self._aside.leave_behind()
@@ -100,6 +107,13 @@ class ControllerThread:
         A fresh controller takes them first (`prepare`), so that neither refused nor slow
         parameters affect the one that may be driving, which takes them afterwards. If it is late,
         the fresh one replaces it.
+
+        Parameters
+        ----------
+        parameters : object
+            Parameters of the controller.
+        seconds : float
+            Longest time to wait [s].
         """
         self.prepare(parameters, seconds)
         assert self._prepared is not None
@@ -123,6 +137,13 @@ class ControllerThread:
         """Set parameters that it had before, within `seconds`.
 
         If that fails, it does not drive before it has them.
+
+        Parameters
+        ----------
+        parameters : object
+            Parameters of the controller.
+        seconds : float
+            Longest time to wait [s].
         """
         try:
             self.configure(parameters, seconds)
@@ -131,7 +152,15 @@ class ControllerThread:
             self.renew()
 
     def activate(self, inputs: ControllerInput, deadline: float) -> None:
-        """Activate it with `inputs` within `deadline` [s]; a late one is replaced."""
+        """Activate it with `inputs` within `deadline` [s]; a late one is replaced.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+        deadline : float
+            Longest time to wait [s].
+        """
         controller, configured = self._controller, self._configured
 
         def run() -> None:
@@ -146,6 +175,18 @@ class ControllerThread:
         """Return its command for `inputs` within `deadline` [s].
 
         If it must be activated first, half of that time is for the activation.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+        deadline : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        FieldCommand
+            The command.
         """
         if not self._active:
             deadline /= 2
@@ -155,7 +196,13 @@ class ControllerThread:
         return command
 
     def deactivate(self, deadline: float) -> None:
-        """Deactivate it within `deadline` [s]; if it is still busy, a fresh one replaces it."""
+        """Deactivate it within `deadline` [s]; if it is still busy, a fresh one replaces it.
+
+        Parameters
+        ----------
+        deadline : float
+            Longest time to wait [s].
+        """
         if not self._active:
             return
         self._active = False
@@ -192,6 +239,17 @@ class ControllerThread:
 
 
 def reason(error: Exception) -> str:
-    """Return a message for an `error`."""
+    """Return a message for an `error`.
+
+    Parameters
+    ----------
+    error : Exception
+        The error.
+
+    Returns
+    -------
+    str
+        The message.
+    """
     named = isinstance(error, ControllerError | LateError | HungError | ValueError)
     return str(error) if named else f'{type(error).__name__}: {error}'

@@ -33,7 +33,13 @@ class HungError(Exception):
 
 
 class Call(Generic[T]):
-    """A call of `function`, its start time and its result."""
+    """A call of `function`, its start time and its result.
+
+    Parameters
+    ----------
+    function : callable
+        The function.
+    """
 
     def __init__(self, function: Callable[[], T]) -> None:
         self.function = function
@@ -58,6 +64,11 @@ class DeadlineWorker:
     abandoned: its thread is made to end as soon as Python code runs in it again, and the next call
     gets a new thread. A call that holds the interpreter lock in foreign code stops the whole
     process; against that only the dead-man switch in the coil driver helps.
+
+    Parameters
+    ----------
+    patience : float
+        Time [s] after which a call is abandoned.
     """
 
     def __init__(self, patience: float) -> None:
@@ -75,6 +86,18 @@ class DeadlineWorker:
 
         Raises LateError after `deadline` [s], or at once if an earlier call still runs, and
         HungError if that one has now been abandoned.
+
+        Parameters
+        ----------
+        function : callable
+            The function.
+        deadline : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        T
+            Its value.
         """
         self._check_last()
         self._waited_for = call = self.post(function)
@@ -87,7 +110,18 @@ class DeadlineWorker:
         return call.value
 
     def post(self, function: Callable[[], T]) -> Call[T]:
-        """Start a call of `function` without waiting for it; later calls come after it."""
+        """Start a call of `function` without waiting for it; later calls come after it.
+
+        Parameters
+        ----------
+        function : callable
+            The function.
+
+        Returns
+        -------
+        Call[T]
+            The call.
+        """
         if self._thread is None:
             self._calls = queue.SimpleQueue()
             self._thread = threading.Thread(target=_serve, args=(self._calls,), daemon=True)
@@ -97,7 +131,20 @@ class DeadlineWorker:
         return call
 
     def finished(self, call: Call[T], seconds: float) -> bool:
-        """Return whether a posted `call` returns within `seconds`."""
+        """Return whether a posted `call` returns within `seconds`.
+
+        Parameters
+        ----------
+        call : Call[T]
+            The call.
+        seconds : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        bool
+            Whether it returns in time.
+        """
         return call.returned.wait(seconds)
 
     def leave_behind(self) -> None:

@@ -18,13 +18,33 @@ class FieldRecord:
         self._steps.clear()
 
     def reaches(self, t: float) -> bool:
-        """Return whether all commands since `t` [s] are known."""
+        """Return whether all commands since `t` [s] are known.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+
+        Returns
+        -------
+        bool
+            Whether they are.
+        """
         return bool(self._steps) and self._steps[0][0] <= t
 
     def note(self, t: float, field: np.ndarray, frequency: float) -> None:
         """Add a command: the `field` (2,) [T] acts from `t` [s] on, rotating at `frequency` [Hz].
 
         Particles keep their direction when the field goes to zero.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        field : ndarray, shape (2,)
+            Field [T].
+        frequency : float
+            Frequency of the field [Hz].
         """
         strength = complex(*field.tolist())
         before = self._steps[-1][1] if self._steps else 0j
@@ -36,6 +56,20 @@ class FieldRecord:
 
         For `rolling` particles ∫f u dt, in turns. Time before the first command contributes
         nothing.
+
+        Parameters
+        ----------
+        begin : float
+            Beginning [s].
+        end : float
+            End [s].
+        rolling : bool
+            Whether particles roll.
+
+        Returns
+        -------
+        complex
+            The integral [s], or for rolling particles the number of turns.
         """
         total = 0j
         for t, direction, frequency in reversed(self._steps):

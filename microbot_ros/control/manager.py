@@ -117,6 +117,20 @@ class ControllerManager:
         """Set new `parameters` of the controller `name`, active or not, or keep the old ones.
 
         Waits at most `seconds`, as `change` does.
+
+        Parameters
+        ----------
+        name : str
+            Name of the controller.
+        parameters : object
+            Parameters of the controller.
+        seconds : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        SwitchResult
+            Whether it was granted.
         """
         return self._try(name, lambda: self._threads[name].configure(parameters, seconds))
 
@@ -128,6 +142,20 @@ class ControllerManager:
         `seconds` for its parameters, it continues in the background: the change is refused with a
         message that ends in `AGAIN`, and the same change, requested again once it is ready, is
         made at once.
+
+        Parameters
+        ----------
+        parameters : mapping of str to object
+            Parameters by controller.
+        drives : str
+            Name of the controller to switch to; '' for none.
+        seconds : float
+            Longest time to wait [s].
+
+        Returns
+        -------
+        SwitchResult
+            Whether it was granted.
         """
         before = {name: self._threads[name].parameters for name in parameters}
         taken: list[str] = []
@@ -163,6 +191,16 @@ class ControllerManager:
         It is activated here, within the deadline, with the input of the last tick and the present
         field; then the previous one is deactivated, in half of that time. Naming the active
         controller restarts it, also after a fault.
+
+        Parameters
+        ----------
+        name : str
+            Name of the controller.
+
+        Returns
+        -------
+        SwitchResult
+            Whether it was granted.
         """
         if name not in self._threads:
             known = ', '.join(self._threads)
@@ -196,6 +234,16 @@ class ControllerManager:
         """Return the command for `inputs`, or None if the poses are too old.
 
         Particles without a finite position are removed first.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+
+        Returns
+        -------
+        Outcome
+            The command, or None, with the reason.
         """
         fresh = abs(inputs.age) <= self._pose_timeout
         if not fresh or inputs.dt > self._pose_timeout:

@@ -34,7 +34,20 @@ _WAY_S, _SPEED = 30.0, 10e-6  # choices: units of the observation, which make nu
 
 
 def distances(position: np.ndarray, goals: np.ndarray) -> np.ndarray:
-    """Return the distances [m] of `position` (..., 2) [m] from `goals` (..., 2) [m]."""
+    """Return the distances [m] of `position` (..., 2) [m] from `goals` (..., 2) [m].
+
+    Parameters
+    ----------
+    position : ndarray, shape (..., 2)
+        Positions [m].
+    goals : ndarray, shape (..., 2)
+        Goals [m].
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Distances [m].
+    """
     return np.asarray(np.abs(as_complex(goals - position)))
 
 
@@ -54,6 +67,11 @@ def observation(
     share : (..., 2) array
         Present field over the largest allowed.
     workspace : Workspace
+
+    Returns
+    -------
+    ndarray, shape (..., 2 + 7 K)
+        Observation, float32.
     """
     low, high = workspace.low, workspace.high
     way = np.zeros(waiting.shape, complex)
@@ -73,6 +91,18 @@ def wanted_field(action: np.ndarray, strongest: float) -> np.ndarray:
     """Return the field (..., 2) [T] for an `action` (..., 2); NaN if that is not finite.
 
     `strongest` [T] is the largest field allowed.
+
+    Parameters
+    ----------
+    action : ndarray, shape (..., 2)
+        Actions.
+    strongest : float
+        Largest field [T].
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        Field [T].
     """
     action = np.asarray(action, dtype=float)
     with np.errstate(invalid='ignore', over='ignore'):
@@ -94,6 +124,16 @@ class PolicyTask:
 
         Raises GoalError for a goal outside the workspace, ParticleLostError if a particle with a
         goal is not tracked.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+
+        Returns
+        -------
+        ndarray, shape (K,)
+            Rows.
         """
         if self._assignment.update(inputs):
             self.waiting = np.ones(len(inputs.goals), bool)
@@ -103,7 +143,18 @@ class PolicyTask:
         return rows
 
     def observation(self, inputs: ControllerInput) -> np.ndarray:
-        """Return the observation (2 + 7 K,) of `inputs`, and record goals that are reached."""
+        """Return the observation (2 + 7 K,) of `inputs`, and record goals that are reached.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+
+        Returns
+        -------
+        ndarray, shape (2 + 7 K,)
+            Observation.
+        """
         rows = self.rows(inputs)
         goals, place = self._assignment.pairs(inputs)[1], inputs.position[rows]
         self.waiting &= distances(place, goals) > ARRIVAL

@@ -52,6 +52,20 @@ def reach(velocity: np.ndarray, position: np.ndarray, goal: np.ndarray) -> Reach
     """Return the reachable set for `velocity` v e^{iφ} (N,) [m/s], `position` and `goal` (N,) [m].
 
     All are complex.
+
+    Parameters
+    ----------
+    velocity : ndarray, shape (N,)
+        Velocity phasors v e^{iφ} [m/s].
+    position : ndarray, shape (N,)
+        Positions, complex [m].
+    goal : ndarray, shape (N,)
+        Goals, complex [m].
+
+    Returns
+    -------
+    Reach
+        The reachable set.
     """
     wanted = goal - position
     U = best_displacement(velocity, wanted)
@@ -120,6 +134,22 @@ def planned_floor(swarm: Swarm, goal: np.ndarray, limit: float, workspace: Works
 
     For a `swarm` in a `workspace`, with fields up to `limit` [T]: turn, coast, go on together,
     refined, without noise. `predictive` starts from this.
+
+    Parameters
+    ----------
+    swarm : Swarm
+        The swarm.
+    goal : ndarray, shape (N, 2)
+        Goals [m].
+    limit : float
+        Largest field [T].
+    workspace : Workspace
+        The workspace.
+
+    Returns
+    -------
+    float
+        Distance [m].
     """
     task = Task(goal, limit, workspace, np.empty(0), np.empty(0), 1e-8, 0.0)
     plan = search(swarm, task)

@@ -20,6 +20,23 @@ def draw(path: Path, swarm: Swarm, goal: np.ndarray, found: Reach,
 
     It shows what lag, strength and switching off open in `seconds` (`beyond`, from `opened`), and
     the error after the planned manoeuvre (`planned` [m]).
+
+    Parameters
+    ----------
+    path : Path
+        Image file.
+    swarm : Swarm
+        The swarm.
+    goal : ndarray, shape (N, 2)
+        Goals [m].
+    found : Reach
+        The reachable set.
+    beyond : dict of str to ndarray
+        Displacements [m] by handle, from `opened`.
+    planned : float
+        Error after the planned manoeuvre [m].
+    seconds : float
+        Duration of the commands [s].
     """
     figure = Figure(figsize=(10, 4.6), layout='constrained')
     left, right = figure.subplots(1, 2, width_ratios=(1.2, 1))

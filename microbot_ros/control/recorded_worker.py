@@ -21,7 +21,15 @@ started, and the earlier one abandoned.
 
 
 class NotingWorker(DeadlineWorker):
-    """Worker with a `patience` [s] that passes the end of each call, a letter, to `note`."""
+    """Worker with a `patience` [s] that passes the end of each call, a letter, to `note`.
+
+    Parameters
+    ----------
+    patience : float
+        Time [s] after which a call is abandoned.
+    note : callable
+        Function that is called with the letter.
+    """
 
     def __init__(self, patience: float, note: Callable[[str], None]) -> None:
         super().__init__(patience)
@@ -45,7 +53,15 @@ class NotingWorker(DeadlineWorker):
 
 
 class RepeatingWorker(UnhurriedWorker):
-    """Worker with a `patience` [s] whose calls end as `letter()` says, without a deadline."""
+    """Worker with a `patience` [s] whose calls end as `letter()` says, without a deadline.
+
+    Parameters
+    ----------
+    patience : float
+        Time [s] after which a call is abandoned.
+    letter : callable
+        Function that returns the letter.
+    """
 
     def __init__(self, patience: float, letter: Callable[[], str]) -> None:
         super().__init__(patience)

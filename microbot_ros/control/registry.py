@@ -25,7 +25,18 @@ def _installed() -> dict[str, EntryPoint]:
 
 
 def controller_class(name: str) -> type[Controller]:
-    """Return the class of the controller `name`; PluginError if it is missing or unusable."""
+    """Return the class of the controller `name`; PluginError if it is missing or unusable.
+
+    Parameters
+    ----------
+    name : str
+        Name of the controller.
+
+    Returns
+    -------
+    type[Controller]
+        The class.
+    """
     if name not in _installed():
         known = ', '.join(sorted(_installed())) or 'none'
         raise PluginError(f"no controller '{clipped(name)}' is installed; there are: {known}")
@@ -36,6 +47,16 @@ def controller_classes(required: str | None = None) -> dict[str, type[Controller
     """Return every installed and working controller by name, in alphabetical order.
 
     One that cannot be loaded is logged and omitted, unless it is `required`: then PluginError.
+
+    Parameters
+    ----------
+    required : str or None
+        Name of a controller that must work; None for none.
+
+    Returns
+    -------
+    dict[str, type[Controller]]
+        Class by name.
     """
     classes = {} if required is None else {required: controller_class(required)}
     for name, point in _installed().items():

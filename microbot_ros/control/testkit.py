@@ -30,14 +30,17 @@ from microbot_ros.control.contract import (
 )
 
 _PLACES = np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]])
+"""Choice: goals [m] well inside the view and apart from each other."""
 _MORE: dict[Input, dict[str, Any]] = {
     Input.GOALS: {'goals': Goals(_PLACES)},
     Input.PARTICLE_GOALS: {'goals': Goals(_PLACES[:2], np.array([2, 0]))},
     Input.PATH: {'path': np.column_stack((np.linspace(-50e-6, 50e-6, 21), np.zeros(21)))},
     Input.PLAN: {'plan': Commands(np.array([0.0, 60.0]), np.array([[1e-3, 0.0], [0.0, 0.0]]))},
     Input.JOYSTICK: {'joystick': np.array([0.6, 0.8])}}
+"""Choice: a plausible input of each kind."""
 
 VIEW = Workspace(np.array([-144e-6, -108e-6]), np.array([144e-6, 108e-6]))
+"""Workspace [m]: 640 × 480 pixels of 0.45 µm, the picture of the virtual microscope."""
 
 
 def controller_input(
@@ -46,6 +49,22 @@ def controller_input(
 
     `expected` is the measured position, as for a rig without delay; `t` [s] is the present time,
     `seed` selects the particles.
+
+    Parameters
+    ----------
+    count : int
+        Number of particles.
+    t : float
+        Present time [s].
+    seed : int
+        Seed of the particles.
+    **changes : object
+        Values of fields.
+
+    Returns
+    -------
+    ControllerInput
+        The input.
     """
     rng = np.random.default_rng(seed)
     position = rng.uniform(-60e-6, 60e-6, (count, 2))
@@ -66,6 +85,11 @@ def exercise(kind: type[Controller]) -> None:
     does not take; accept its default parameters; and answer each of a series of inputs, common and
     odd, with a finite command within the limits or with a ControllerError, without changing the
     inputs; also after `reset` and a second activation.
+
+    Parameters
+    ----------
+    kind : type[Controller]
+        Class of the controller.
     """
     assert kind.interface_version == INTERFACE_VERSION, 'written for another interface version'
     assert kind.summary.strip(), 'has no summary'
@@ -108,7 +132,13 @@ def _answers(kind: type[Controller], what: Input, given: bool) -> list[Any]:
 
 
 def odd_inputs() -> Iterator[ControllerInput]:
-    """Yield inputs that occur on a rig, common and odd."""
+    """Yield inputs that occur on a rig, common and odd.
+
+    Yields
+    ------
+    ControllerInput
+        The input.
+    """
     goals = Goals(np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]]))
     path = np.column_stack((np.linspace(-50e-6, 50e-6, 21), np.zeros(21)))
     nobody = controller_input(0)

@@ -76,6 +76,18 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
         `options` may hold `goals_um`, (x, y) for each particle, and `effects` as in a scenario;
         ValueError if they are impossible.
+
+        Parameters
+        ----------
+        seed : int or None
+            Seed of the episode; None continues the sequence of random numbers.
+        options : dict of str to object or None
+            `goals_um` and `effects`; None for random ones.
+
+        Returns
+        -------
+        tuple[ndarray, dict of str to object]
+            Observation (2 + 7 N,), and information on the episode.
         """
         super().reset(seed=seed)
         self.worlds.begin(0, self.np_random, **_options(options, self.worlds))
@@ -85,7 +97,19 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def step(
         self, action: np.ndarray,
     ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Advance one frame with an `action` (2,). ValueError for another shape."""
+        """Advance one frame with an `action` (2,). ValueError for another shape.
+
+        Parameters
+        ----------
+        action : ndarray, shape (2,)
+            Field over the largest allowed.
+
+        Returns
+        -------
+        tuple[ndarray, float, bool, bool, dict of str to object]
+            Observation, reward, whether all goals are reached, whether the episode is cut,
+            information.
+        """
         if np.shape(action) != (2,):
             raise ValueError(f'expected an action (2,); received {np.shape(action)}')
         rewards, successes, cut = _step(
@@ -94,7 +118,13 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
                 self._info())
 
     def render(self) -> np.ndarray | None:
-        """Return the microscope's picture (H, W, 3) uint8; None unless the mode is 'rgb_array'."""
+        """Return the microscope's picture (H, W, 3) uint8; None unless the mode is 'rgb_array'.
+
+        Returns
+        -------
+        ndarray, shape (H, W, 3), or None
+            Uint8, or None.
+        """
         if self.render_mode != 'rgb_array':
             return None
         scenario, bodies = self.worlds.scenario, self.worlds.bodies[0]
@@ -114,6 +144,17 @@ class SteeringVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     `scenario`, `particles` and `randomise` as there. A finished episode restarts at the next step,
     which ignores its action.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number M of environments.
+    scenario : str or Path or None
+        As in `SteeringEnv`.
+    particles : int or None
+        As in `SteeringEnv`.
+    randomise : Ranges or None
+        As in `SteeringEnv`.
     """
 
     metadata = {'render_modes': [], 'autoreset_mode': AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -133,7 +174,20 @@ class SteeringVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in each world, with `seed` and `options` as in `SteeringEnv`."""
+        """Begin an episode in each world, with `seed` and `options` as in `SteeringEnv`.
+
+        Parameters
+        ----------
+        seed : int or None
+            Seed of the episodes; None continues the sequence of random numbers.
+        options : dict of str to object or None
+            `goals_um` and `effects`; None for random ones.
+
+        Returns
+        -------
+        tuple[ndarray, dict of str to object]
+            Observations (M, 2 + 7 N), and information on the episodes.
+        """
         super().reset(seed=seed)
         given = _options(options, self.worlds)
         for m in range(self.num_envs):
@@ -144,7 +198,18 @@ class SteeringVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advance one frame in each world with `actions` (M, 2). ValueError for another shape."""
+        """Advance one frame in each world with `actions` (M, 2). ValueError for another shape.
+
+        Parameters
+        ----------
+        actions : ndarray, shape (M, 2)
+            Field over the largest allowed.
+
+        Returns
+        -------
+        tuple[ndarray, ndarray, ndarray, ndarray, dict of str to object]
+            As `SteeringEnv.step`, an entry for each world.
+        """
         if np.shape(actions) != (self.num_envs, 2):
             raise ValueError(f'expected actions {(self.num_envs, 2)}; received '
                              f'{np.shape(actions)}')

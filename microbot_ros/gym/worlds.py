@@ -58,6 +58,7 @@ _DEFAULT = Scenario.model_validate({
     'camera': {'frame_rate_hz': 30, 'localisation_um': 0.1},
     'particles': [{'x_um': -60, 'y_um': 20, 'v_um_s': 3.71, 'phi_rad': -1.09},
                   {'x_um': 40, 'y_um': 50, 'v_um_s': 4.38, 'phi_rad': 3.82}]})
+"""Choice: two of the paper's particles for a minute, seen as on the virtual rig."""
 
 
 class SteeredWorlds:
@@ -66,6 +67,17 @@ class SteeredWorlds:
     `scenario`, `particles` and `randomise` as in `steering.SteeringEnv`. A command takes the path
     of any controller's: limits, border and slew as in the controller manager, then allocation and
     gate; the amplifier is ideal. Raises InputError for an unusable scenario.
+
+    Parameters
+    ----------
+    count : int
+        Number M of worlds.
+    scenario : str or Path or None
+        Scenario, or its file; None for the default.
+    particles : int or None
+        Number N of particles; None for those of the scenario.
+    randomise : Ranges or None
+        Ranges of effects; None for none.
     """
 
     def __init__(self, count: int, scenario: str | Path | None, particles: int | None,
@@ -137,6 +149,17 @@ class SteeredWorlds:
 
         `effects`, as in a scenario, replace those that would be drawn. Raises ValueError for
         impossible goals or effects.
+
+        Parameters
+        ----------
+        m : int
+            Index of the world.
+        rng : random.Generator
+            Source of random numbers.
+        goals_um : object
+            Goals (N, 2) [µm]; None or empty for random ones.
+        effects : EffectSettings
+            Effects of the episode; empty for random ones.
         """
         self.bodies[m] = self._draw_bodies(rng, effects)
         self.goals[m] = self._draw_goals(rng, goals_um)
@@ -178,6 +201,15 @@ class SteeredWorlds:
         """Advance one frame in the worlds `which` (K,) with `actions` (K, 2).
 
         `rng` is the source of all randomness. An action that is NaN makes no field.
+
+        Parameters
+        ----------
+        which : ndarray, shape (K,)
+            Indices of the worlds.
+        actions : ndarray, shape (K, 2)
+            Field over the largest allowed.
+        rng : random.Generator
+            Source of random numbers.
         """
         # A view of all worlds is much faster than a copy of some.
         rows = slice(None) if len(which) == len(self.t) else which
@@ -198,13 +230,25 @@ class SteeredWorlds:
         self._take_frames(which, rows, rng)
 
     def observation(self) -> np.ndarray:
-        """Return the observation of each world (M, 2 + 7 N)."""
+        """Return the observation of each world (M, 2 + 7 N).
+
+        Returns
+        -------
+        ndarray, shape (M, 2 + 7 N)
+            Observations.
+        """
         speed, phi = self._told(slice(None))
         return observation(self.seen, speed * np.exp(1j * phi), self.goals, self.waiting,
                            self.commanded / self.limits.field, self.workspace)
 
     def cut(self) -> np.ndarray:
-        """Return where (M,) time is over, a particle left the workspace or the gate cut off."""
+        """Return where (M,) time is over, a particle left the workspace or the gate cut off.
+
+        Returns
+        -------
+        ndarray, shape (M,)
+            Whether the episode is cut.
+        """
         lost = ~self.workspace.holds(self.seen).all(axis=1)
         fault = np.array([gate.fault is not None for gate in self.gates])
         return np.asarray(lost | fault | (self.frame + 1 >= self.frames))
@@ -235,7 +279,18 @@ class SteeredWorlds:
         wanted[:], self.reasons[m] = command.field, command.progress.message
 
     def inputs(self, m: int) -> ControllerInput:
-        """Return a controller's input of world `m`, with the goals of the episode."""
+        """Return a controller's input of world `m`, with the goals of the episode.
+
+        Parameters
+        ----------
+        m : int
+            Index of the world.
+
+        Returns
+        -------
+        ControllerInput
+            The input.
+        """
         speed, phi = (told[0] for told in self._told(slice(m, m + 1)))
         known = np.full(self.particles, KNOWN_TO)
         return ControllerInput(

@@ -61,6 +61,11 @@ class AllocationStage:
 
     Raises InputError if the coil file of `parameters` cannot be read, and for limits that the
     first full field would violate.
+
+    Parameters
+    ----------
+    parameters : GateParameters
+        Coils and limits.
     """
 
     def __init__(self, parameters: GateParameters) -> None:
@@ -74,6 +79,16 @@ class AllocationStage:
 
         NaN, which the gate latches as a fault, if the field is not finite. Raises ValueError if it
         has a part along z that the coils cannot make.
+
+        Parameters
+        ----------
+        field : ndarray
+            Field, (2,) in the plane or (3,) [T].
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Currents [A].
         """
         strength = math.hypot(*field.tolist())
         if not strength < math.inf:
@@ -92,6 +107,11 @@ class AllocationStage:
         field : (3,) array [T]
             Field at the start of the rotation.
         angular_velocity : (3,) array [rad/s]
+
+        Returns
+        -------
+        Turning
+            Currents as a function of the direction of the rotating part.
 
         Raises
         ------
@@ -129,12 +149,34 @@ class AllocationStage:
         return np.array([x, y])
 
     def field(self, currents: np.ndarray) -> np.ndarray:
-        """Return the field (2,) or (3,) [T] at the workspace centre for `currents` (N,) [A]."""
+        """Return the field (2,) or (3,) [T] at the workspace centre for `currents` (N,) [A].
+
+        Parameters
+        ----------
+        currents : ndarray, shape (N,)
+            Current of each coil [A].
+
+        Returns
+        -------
+        ndarray, shape (2,)
+            Field or (3,) [T].
+        """
         return self._allocator.field(currents)
 
 
 def limits(values: GateParameters) -> Limits:
-    """Return the limits of the gate in SI units from the parameter `values`."""
+    """Return the limits of the gate in SI units from the parameter `values`.
+
+    Parameters
+    ----------
+    values : GateParameters
+        Parameters of the gate.
+
+    Returns
+    -------
+    Limits
+        The limits.
+    """
     return Limits(
         current_A=values.current_limit_A, step_A=values.step_limit_A,
         slew_A_per_s=values.slew_limit_A_per_s,

@@ -74,6 +74,13 @@ class ControllerStage:
 
     `worker` makes the object that calls a controller within its deadline. Raises InputError if the
     controller named in `parameters` is not available.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        Parameters of the manager.
+    worker : callable
+        Function that makes, from a patience [s], the worker that calls controllers.
     """
 
     def __init__(self, parameters: ControllerParameters,
@@ -174,7 +181,18 @@ class ControllerStage:
         return self.armed is False and bool(given)
 
     def refusal(self, what: Input) -> str:
-        """Return why the active controller refuses the input `what`; '' if it does not."""
+        """Return why the active controller refuses the input `what`; '' if it does not.
+
+        Parameters
+        ----------
+        what : Input
+            The input.
+
+        Returns
+        -------
+        str
+            Reason, or ''.
+        """
         name = self.manager.active
         if self.classes[name].accepts(what):
             return ''
@@ -182,12 +200,24 @@ class ControllerStage:
         return f'{name} takes no {what.value}; controllers that do: {", ".join(others) or "none"}'
 
     def go_to(self, goals: Goals) -> None:
-        """Set new `goals`, from the next frame on."""
+        """Set new `goals`, from the next frame on.
+
+        Parameters
+        ----------
+        goals : Goals
+            The goals.
+        """
         self.goals = goals
         self._begin_anew()
 
     def follow(self, path: np.ndarray) -> None:
-        """Set a new `path` (P, 2) [m], from the next frame on."""
+        """Set a new `path` (P, 2) [m], from the next frame on.
+
+        Parameters
+        ----------
+        path : ndarray, shape (P, 2)
+            Points of the path [m].
+        """
         self.path = path
         self._begin_anew()
 
@@ -196,6 +226,11 @@ class ControllerStage:
 
         Its times are relative and ascend from 0; its last row is the end. Raises ValueError for
         anything else and for numbers that are not finite.
+
+        Parameters
+        ----------
+        plan : Commands
+            The plan.
         """
         turns = np.zeros(1) if plan.frequency is None else plan.frequency
         if not all(np.isfinite(rows).all() for rows in (plan.t, plan.field, turns)):
@@ -213,6 +248,13 @@ class ControllerStage:
         """Set the stick to `axes` (2,) at time `t` [s].
 
         Raises ValueError, and centres the stick, if `axes` are not two finite numbers.
+
+        Parameters
+        ----------
+        axes : ndarray, shape (2,)
+            Position from −1 to 1.
+        t : float
+            Time of the position [s].
         """
         self._joystick = np.zeros(2)
         if not (axes.shape == (2,) and np.isfinite(axes).all()):
@@ -232,6 +274,11 @@ class ControllerStage:
             Exposure of the frame [s].
         now : float
             Arrival of the estimates [s].
+
+        Returns
+        -------
+        Outcome
+            The command, or why there is none.
         """
         outcome = self.manager.tick(self._input(estimates, t, now))
         if self.joystick_remark:
@@ -245,6 +292,16 @@ class ControllerStage:
         """Release the field if poses, once received, stay away at `now` [s].
 
         Returns whether a field may have been on until now.
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+
+        Returns
+        -------
+        bool
+            Whether a field may have been on until now.
         """
         age = now - self._last_t
         if math.isinf(age) or abs(age) <= self.parameters.pose_timeout_ms * 1e-3:
@@ -258,6 +315,11 @@ class ControllerStage:
         """Switch the field off and let the next command start from zero.
 
         Returns whether a field may have been on.
+
+        Returns
+        -------
+        bool
+            Whether a field may have been on.
         """
         self.manager.let_go()
         drove, self.driving = self.driving, False

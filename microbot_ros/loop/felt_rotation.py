@@ -50,6 +50,18 @@ class FeltRotation:
         """Return the rotation once a `field` (3,) [T] is read at `t` [s]; None if unchanged.
 
         A reading that is not finite is ignored.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        field : ndarray, shape (3,)
+            Field that is read back [T].
+
+        Returns
+        -------
+        Rotation or None
+            The rotation, or None.
         """
         size = math.hypot(*field)
         flows = size >= NEGLIGIBLE

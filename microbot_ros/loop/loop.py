@@ -73,6 +73,11 @@ class Loop:
     gives their currents between two frames. It has no thread and no clock: times are arguments,
     and controllers have no deadline. Equal frames, measurements and goals give equal currents to
     the last bit. Raises InputError for contradictory `parameters`.
+
+    Parameters
+    ----------
+    parameters : LoopParameters
+        Parameters of all stages.
     """
 
     def __init__(self, parameters: LoopParameters) -> None:
@@ -98,7 +103,13 @@ class Loop:
         return self._tracker
 
     def arm(self, t: float) -> None:
-        """Arm the gate at `t` [s]. Raises RuntimeError with the gate's reason if it refuses."""
+        """Arm the gate at `t` [s]. Raises RuntimeError with the gate's reason if it refuses.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        """
         if refusal := self.gate.arm(t):
             raise RuntimeError(refusal)
 
@@ -106,6 +117,18 @@ class Loop:
         """Process the `currents` (N,) [A] that the amplifier reads back at `t` [s].
 
         Returns the field (2,) or (3,) [T] that they make.
+
+        Parameters
+        ----------
+        currents : ndarray, shape (N,)
+            Current of each coil [A].
+        t : float
+            Time [s].
+
+        Returns
+        -------
+        ndarray, shape (2,)
+            Field or (3,) [T].
         """
         self.gate.measured(currents.tolist(), t)
         field = self.allocation.field(currents)
@@ -119,7 +142,18 @@ class Loop:
         return field
 
     def sample(self, t: float) -> np.ndarray:
-        """Return the currents (N,) [A] that may flow at `t` [s], between two frames."""
+        """Return the currents (N,) [A] that may flow at `t` [s], between two frames.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Currents [A].
+        """
         if self._rotation.turns:
             self.gate.command(self._rotation.currents(t).tolist(), t, self._given_t)
         else:
@@ -132,11 +166,36 @@ class Loop:
         """Process an `image` (H, W) that was exposed at `t` [s].
 
         Raises FrameError for an unusable image; nothing is commanded then.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        t : float
+            Exposure of the picture [s].
+
+        Returns
+        -------
+        LoopStep
+            Results of all stages.
         """
         return self.steer(self.tracker.step(image, t), t)
 
     def steer(self, particles: np.ndarray, t: float) -> LoopStep:
-        """Process `particles` (N,) of type PARTICLE from another tracker, seen at `t` [s]."""
+        """Process `particles` (N,) of type PARTICLE from another tracker, seen at `t` [s].
+
+        Parameters
+        ----------
+        particles : ndarray, shape (N,)
+            PARTICLE of each particle.
+        t : float
+            Time at which they were seen [s].
+
+        Returns
+        -------
+        LoopStep
+            Results of all stages.
+        """
         estimates = self.model.step(particles, t)
         outcome = self.controller.step(estimates, t, t)
         if outcome.command is None:

@@ -49,6 +49,11 @@ class ModelStage:
     """Filter that estimates the state of every particle after each frame.
 
     It starts with the first-order model of `parameters`; `use` loads a model file.
+
+    Parameters
+    ----------
+    parameters : ModelParameters
+        Parameters of the filter.
     """
 
     def __init__(self, parameters: ModelParameters) -> None:
@@ -65,6 +70,11 @@ class ModelStage:
         """Filter with `model_file` from the next frame on; '' is the first-order model.
 
         Raises InputError for a file that cannot be used, and the present model stays.
+
+        Parameters
+        ----------
+        model_file : str
+            Path of the file, or ''.
         """
         if model_file == self._model_file:
             return
@@ -75,11 +85,27 @@ class ModelStage:
         self._model_file = model_file
 
     def field(self, t: float, field: np.ndarray) -> None:
-        """Take a `field` (2,) [T] that acts from `t` [s] on."""
+        """Take a `field` (2,) [T] that acts from `t` [s] on.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        field : ndarray, shape (2,)
+            Field [T].
+        """
         self._command(t, field, None)
 
     def rotation(self, t: float, angular_velocity: np.ndarray) -> None:
-        """Let rollers move along ω̂ × ẑ from `t` [s], `angular_velocity` (2,) [rad/s]."""
+        """Let rollers move along ω̂ × ẑ from `t` [s], `angular_velocity` (2,) [rad/s].
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        angular_velocity : ndarray, shape (2,)
+            Angular velocity [rad/s].
+        """
         x, y = angular_velocity
         rate = math.hypot(x, y)
         self._command(t, np.array([y, -x]) / (rate or 1.0), rate / math.tau)
@@ -88,6 +114,18 @@ class ModelStage:
         """Return the estimates (N,) of type ESTIMATE after a frame exposed at `t` [s].
 
         `particles` are those seen in it, of type PARTICLE.
+
+        Parameters
+        ----------
+        particles : ndarray, shape (N,)
+            PARTICLE of each particle.
+        t : float
+            Exposure of the frame [s].
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            ESTIMATE of each particle.
         """
         rows = numbers(particles)
         self.estimates = found = self.estimator.update(

@@ -36,7 +36,18 @@ PLACE = np.dtype([('x', '<f4'), ('y', '<f4')])
 
 
 def numbers(points: np.ndarray) -> np.ndarray:
-    """Return all fields but `id` of `points` (N,) in double precision, (F, N), a row per field."""
+    """Return all fields but `id` of `points` (N,) in double precision, (F, N), a row per field.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N,)
+        Structured array.
+
+    Returns
+    -------
+    ndarray, shape (F, N)
+        Numbers, one row per field.
+    """
     rows = np.ascontiguousarray(points).view('<f4').reshape(-1, points.itemsize // 4)
     return rows.T[1:].astype(float, order='C')
 
@@ -45,6 +56,20 @@ def particles_at(ids: np.ndarray, position: np.ndarray, sigma: float) -> np.ndar
     """Return particles (N,) of type PARTICLE with known `ids` (N,) and `position` (N, 2) [m] only.
 
     `sigma` [m] is the standard deviation of each coordinate.
+
+    Parameters
+    ----------
+    ids : ndarray, shape (N,)
+        Identities.
+    position : ndarray, shape (N, 2)
+        Positions [m].
+    sigma : float
+        Standard deviation of each coordinate [m].
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        PARTICLE of each particle.
     """
     points = np.zeros(len(ids), PARTICLE)
     points['id'], points['sigma'] = ids, sigma

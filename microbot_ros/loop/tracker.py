@@ -50,6 +50,11 @@ class TrackerStage:
     """Positions, headings and identities of the particles, frame by frame.
 
     Raises InputError if the settings file of `parameters` cannot be read.
+
+    Parameters
+    ----------
+    parameters : TrackerParameters
+        Parameters of the tracker.
     """
 
     def __init__(self, parameters: TrackerParameters) -> None:
@@ -79,13 +84,29 @@ class TrackerStage:
         return '; '.join(together(self._tracker.remarks.values()))
 
     def field(self, t: float, field: np.ndarray) -> None:
-        """Let swimmers turn to a `field` (2,) [T] from `t` [s]; zero turns nothing."""
+        """Let swimmers turn to a `field` (2,) [T] from `t` [s]; zero turns nothing.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        field : ndarray, shape (2,)
+            Field [T].
+        """
         size = math.hypot(*field)
         if size >= NEGLIGIBLE:
             self._drive.command(t, field / size)
 
     def rotation(self, t: float, angular_velocity: np.ndarray) -> None:
-        """Let rollers move along ω̂ × ẑ from `t` [s], `angular_velocity` (2,) [rad/s]."""
+        """Let rollers move along ω̂ × ẑ from `t` [s], `angular_velocity` (2,) [rad/s].
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        angular_velocity : ndarray, shape (2,)
+            Angular velocity [rad/s].
+        """
         x, y = angular_velocity
         self._drive.command(t, np.array([y, -x]) / math.tau)
 
@@ -93,6 +114,18 @@ class TrackerStage:
         """Return the particles (N,) of type PARTICLE in an `image` (H, W), exposed at `t` [s].
 
         Raises FrameError for an unusable image, which changes nothing.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        t : float
+            Exposure of the picture [s].
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            PARTICLE of each particle.
         """
         if self._camera is None:
             height, width = image.shape[:2]
@@ -162,12 +195,33 @@ class TrackerStage:
         """Forget what was taught about a `kind`, or about all, and return a sentence on it.
 
         Raises InputError if there is nothing to forget.
+
+        Parameters
+        ----------
+        kind : str or None
+            Name of the kind; None for all.
+
+        Returns
+        -------
+        str
+            The sentence.
         """
         self._wanted, said = teacher.forget(self._wanted, kind)
         return said
 
     def pixel_at(self, x: float, y: float) -> tuple[float, float]:
-        """Return the pixel (x, y) of a place (`x`, `y`) [m]; InputError before the first frame."""
+        """Return the pixel (x, y) of a place (`x`, `y`) [m]; InputError before the first frame.
+
+        Parameters
+        ----------
+        x, y : float
+            Place in the workspace [m].
+
+        Returns
+        -------
+        tuple[float, float]
+            Pixel (x, y).
+        """
         if self._camera is None:
             raise InputError('teach', 'no frame to point into yet; start the camera')
         column, row = self._camera.pixels(np.array([x, y]))
@@ -192,6 +246,16 @@ class TrackerStage:
         """Return the last frame's `particles` (N,) with a field `kind`, an index into `kinds`.
 
         Without taught kinds they are returned unchanged.
+
+        Parameters
+        ----------
+        particles : ndarray, shape (N,)
+            PARTICLE of each particle.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Particles, with `kind` if kinds were taught.
         """
         if not self.kinds or self.poses is None:
             return particles

@@ -46,12 +46,34 @@ class MagpylibSource:
         self._field, self._source, self._step = magpylib.getB, source, step
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3)."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3)
+            Field [T/A].
+        """
         points = as_points(points)
         return np.reshape(self._field(self._source, points, sumup=True), points.shape)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3, 3)
+            Gradient [T/m/A].
+        """
         points = as_points(points)
         shifts = self._step * np.multiply.outer((-2, -1, 1, 2), np.eye(3))
         near = self.field_per_ampere((points + shifts[:, :, None]).reshape(-1, 3))
@@ -59,7 +81,18 @@ class MagpylibSource:
         return np.einsum('s,sjmi->mij', weights, near.reshape(4, 3, len(points), 3))
 
     def margin(self, point: np.ndarray) -> float:
-        """Return infinity for every `point`: magpylib does not report where its wires are."""
+        """Return infinity for every `point`: magpylib does not report where its wires are.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Point [m].
+
+        Returns
+        -------
+        float
+            Infinity.
+        """
         return math.inf
 
 
@@ -67,6 +100,16 @@ def installed_source(name: str) -> Source:
     """Load the coil with this name from the entry-point group `microbot_ros.coils`.
 
     Raises InputError if no package provides it or it cannot be loaded.
+
+    Parameters
+    ----------
+    name : str
+        Name of the coil.
+
+    Returns
+    -------
+    Source
+        The coil.
     """
     found = installed(GROUP, 'source', name)
     return found if hasattr(found, 'field_per_ampere') else MagpylibSource(found)

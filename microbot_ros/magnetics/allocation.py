@@ -129,6 +129,16 @@ class Allocator:
 
         If the limits do not allow the magnitude, the largest field in its direction is made. A
         zero field cancels the background. Raises ValueError for NaN and infinity.
+
+        Parameters
+        ----------
+        wanted : ArrayLike, shape (axes,)
+            Field [T].
+
+        Returns
+        -------
+        Allocation
+            The currents and the field that they make.
         """
         currents, saturated = self.cheapest(np.asarray(wanted, dtype=float))
         return Allocation(currents, self.field(currents), self._coils.power(currents), saturated)
@@ -137,6 +147,16 @@ class Allocator:
         """Return the currents (N,) [A] and `saturated` of `allocate` for a field (axes,) [T].
 
         Raises ValueError for NaN and infinity.
+
+        Parameters
+        ----------
+        wanted : ndarray, shape (axes,)
+            Field [T].
+
+        Returns
+        -------
+        tuple[ndarray, bool]
+            Currents (N,) [A], and whether they are reduced by the limits.
         """
         wanted = self._components(wanted)
         magnitude = math.hypot(*wanted.tolist())
@@ -155,6 +175,16 @@ class Allocator:
         """Return the currents (K, N) [A] of `allocate` for each field `wanted` (K, axes) [T].
 
         Raises ValueError for NaN and infinity.
+
+        Parameters
+        ----------
+        wanted : ndarray, shape (K, axes)
+            Fields [T].
+
+        Returns
+        -------
+        ndarray, shape (K, N)
+            Currents [A].
         """
         wanted = self._components(wanted)
         found = (wanted - self._background) @ self._unlimited.T
@@ -165,7 +195,18 @@ class Allocator:
         return np.asarray(found)
 
     def field(self, currents: np.ndarray) -> np.ndarray:
-        """Return the field (axes,) [T] at the point for `currents` (N,) [A], with background."""
+        """Return the field (axes,) [T] at the point for `currents` (N,) [A], with background.
+
+        Parameters
+        ----------
+        currents : ndarray, shape (N,)
+            Current of each coil [A].
+
+        Returns
+        -------
+        ndarray, shape (axes,)
+            Field [T].
+        """
         return np.asarray(self.matrix @ self._coils.effective(currents) + self._background)
 
     def actuate(self, field: ArrayLike, pull: ArrayLike) -> Actuation:
@@ -179,6 +220,11 @@ class Allocator:
         ----------
         field : (axes,) array [T]
         pull : (axes,) array [T/m]
+
+        Returns
+        -------
+        Actuation
+            The currents, and the field and pull that they make.
 
         Raises
         ------
@@ -211,13 +257,34 @@ class Allocator:
         """Return the largest field [T] within the limits along `direction` (axes,), of any length.
 
         Raises ValueError for a zero direction, NaN and infinity.
+
+        Parameters
+        ----------
+        direction : ArrayLike, shape (axes,)
+            Direction, of any length.
+
+        Returns
+        -------
+        float
+            Magnitude [T].
         """
         across = self._normals @ _unit(self._components(np.asarray(direction, dtype=float)))
         outward = across > 0
         return float((self._reach[outward] / across[outward]).min())
 
     def largest_current(self, magnitude: float) -> float:
-        """Return the largest coil current [A] for a field of `magnitude` [T] in any direction."""
+        """Return the largest coil current [A] for a field of `magnitude` [T] in any direction.
+
+        Parameters
+        ----------
+        magnitude : float
+            Magnitude of the field [T].
+
+        Returns
+        -------
+        float
+            Current [A].
+        """
         angles = np.radians(np.arange(360.0))
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         if self._coils.axes == 3:

@@ -98,6 +98,11 @@ def within_limits(currents: np.ndarray, spare: np.ndarray, limits: np.ndarray) -
     spare : (N, S) array
         Directions that may be added, orthonormal in the heat.
     limits : (N,) array [A]
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Currents [A].
     """
     count, width = spare.shape
     held = np.zeros(count, np.int64)  # coils at their limits, in the order of the arrays below

@@ -23,12 +23,9 @@ from microbot_ros.magnetics.coils import CoilSet
 from microbot_ros.magnetics.settings import CoilSettings, Vector, Winding
 from microbot_ros.magnetics.table import read_table
 
-# Choices: the largest unexplained part of the variation of the readings that is accepted (probe
-# placement costs a few percent); the part below which no swapped columns are looked for; and the
-# factor by which a swap must be better to be reported.
-_BELIEVED = 0.2
-_CLEAN = 0.01
-_MUCH_BETTER = 3
+_BELIEVED = 0.2  # choice: unexplained part that is accepted; probe placement costs a few percent
+_CLEAN = 0.01  # choice: unexplained part below which no swapped columns are looked for
+_MUCH_BETTER = 3  # choice: factor by which a swap must be better to be reported
 _SINGULAR = 1e6  # choice: condition number above which the readings do not separate the coils
 # Choice: gains beyond this factor mean a dead coil or other units; geometry is known better.
 _PLAUSIBLE = 3
@@ -77,7 +74,13 @@ class Calibration:
     residuals: np.ndarray
 
     def summary(self) -> dict[str, Any]:
-        """Return gains, signs and background with standard deviations, and the residual."""
+        """Return gains, signs and background with standard deviations, and the residual.
+
+        Returns
+        -------
+        dict of str to object
+            Values by name, in the units of the names.
+        """
         return {
             'coils': {
                 name: {'gain': abs(gain), 'gain_std': std, 'sign': 1 if gain > 0 else -1}
@@ -90,7 +93,18 @@ class Calibration:
         }
 
     def applied_to(self, settings: CoilSettings) -> CoilSettings:
-        """Return `settings` with these gains, signs and background."""
+        """Return `settings` with these gains, signs and background.
+
+        Parameters
+        ----------
+        settings : CoilSettings
+            Settings of the coils.
+
+        Returns
+        -------
+        CoilSettings
+            The corrected settings.
+        """
         summary = self.summary()
         windings = tuple(
             winding.model_copy(update={key: summary['coils'][winding.name][key]
@@ -108,6 +122,18 @@ def read_readings(path: str | Path, settings: CoilSettings) -> Readings:
     the coils make a field along z. Optional are `bz_mT` otherwise, and the position of the probe
     `x_mm`, `y_mm`, `z_mm` (default: the workspace centre). The order of the columns of `path` is
     free. Raises InputError naming file, line and column for anything else.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to read or write.
+    settings : CoilSettings
+        Settings of the coils.
+
+    Returns
+    -------
+    Readings
+        The readings.
     """
     currents = [f'{winding.name}_A' for winding in settings.windings]
     needed, optional = ['bx_mT', 'by_mT', *currents], ['bz_mT', 'x_mm', 'y_mm', 'z_mm']
@@ -135,6 +161,11 @@ def calibrate(readings: Readings, settings: CoilSettings, source: str | Path) ->
         Geometry of the coils; its gains and signs are ignored.
     source : str or Path
         Origin of the readings, for messages.
+
+    Returns
+    -------
+    Calibration
+        Gains, signs and background.
 
     Raises
     ------
@@ -235,6 +266,11 @@ def with_coil_map(settings: CoilSettings, gain_ratio: float, skew: float, matrix
         Rotation of the y pair about the workspace centre towards +x [rad].
     matrix : (2, 2) array
     offset : (2,) array [T]
+
+    Returns
+    -------
+    CoilSettings
+        Settings of the corrected coils.
 
     Raises
     ------

@@ -22,6 +22,11 @@ class CoilSet:
     the currents alone, without `background`, and NaN on a wire. A coil with a saturating core
     makes the field of an `effective` current; "per ampere" means per effective ampere. `settings`
     defaults to four coils in a plane.
+
+    Parameters
+    ----------
+    settings : CoilSettings or None
+        Settings of the coils; None for four coils in a plane.
     """
 
     def __init__(self, settings: CoilSettings | None = None) -> None:
@@ -53,25 +58,84 @@ class CoilSet:
         return np.append(self._background, 0.0)[:self.axes]
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return the field of each coil [T/A] at `points` (M, 3) [m], shape (N, M, 3)."""
+        """Return the field of each coil [T/A] at `points` (M, 3) [m], shape (N, M, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (N, M, 3)
+            Field of each coil [T/A].
+        """
         points = as_points(points)
         return np.stack([source.field_per_ampere(points) for source in self._sources])
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return ∂Bᵢ/∂xⱼ [T/m/A] of each coil at `points` (M, 3) [m], shape (N, M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] of each coil at `points` (M, 3) [m], shape (N, M, 3, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (N, M, 3, 3)
+            Gradient of each coil [T/m/A].
+        """
         points = as_points(points)
         return np.stack([source.gradient_per_ampere(points) for source in self._sources])
 
     def field(self, currents: ArrayLike, points: ArrayLike) -> np.ndarray:
-        """Return the field [T] of `currents` (N,) [A] at `points` (M, 3) [m], shape (M, 3)."""
+        """Return the field [T] of `currents` (N,) [A] at `points` (M, 3) [m], shape (M, 3).
+
+        Parameters
+        ----------
+        currents : ArrayLike, shape (N,)
+            Current of each coil [A].
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3)
+            Field [T].
+        """
         return np.tensordot(self.effective(currents), self.field_per_ampere(points), 1)
 
     def gradient(self, currents: ArrayLike, points: ArrayLike) -> np.ndarray:
-        """Return ∂Bᵢ/∂xⱼ [T/m] of `currents` (N,) [A] at `points` (M, 3) [m], shape (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m] of `currents` (N,) [A] at `points` (M, 3) [m], shape (M, 3, 3).
+
+        Parameters
+        ----------
+        currents : ArrayLike, shape (N,)
+            Current of each coil [A].
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3, 3)
+            Gradient [T/m].
+        """
         return np.tensordot(self.effective(currents), self.gradient_per_ampere(points), 1)
 
     def effective(self, currents: ArrayLike) -> np.ndarray:
-        """Convert `currents` (..., N) [A] to effective currents; the same without saturation."""
+        """Convert `currents` (..., N) [A] to effective currents; the same without saturation.
+
+        Parameters
+        ----------
+        currents : ArrayLike
+            Currents (..., N) [A].
+
+        Returns
+        -------
+        ndarray, shape (..., N)
+            Effective currents [A].
+        """
         found = np.asarray(currents)
         if self._curves:
             found = found.astype(float)
@@ -80,7 +144,18 @@ class CoilSet:
         return found
 
     def driven(self, effective: np.ndarray) -> np.ndarray:
-        """Convert `effective` currents (..., N) [A] to currents of the windings."""
+        """Convert `effective` currents (..., N) [A] to currents of the windings.
+
+        Parameters
+        ----------
+        effective : ndarray, shape (..., N)
+            Effective currents [A].
+
+        Returns
+        -------
+        ndarray, shape (..., N)
+            Currents of the windings [A].
+        """
         if self._curves:
             effective = effective.copy()
             for coil, curve in self._curves.items():
@@ -88,9 +163,31 @@ class CoilSet:
         return effective
 
     def actuation_matrix(self, point: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-        """Return the field per ampere of each coil at one `point` (3,) [m], shape (3, N) [T/A]."""
+        """Return the field per ampere of each coil at one `point` (3,) [m], shape (3, N) [T/A].
+
+        Parameters
+        ----------
+        point : ArrayLike, shape (3,)
+            Point [m].
+
+        Returns
+        -------
+        ndarray, shape (3, N)
+            Field per ampere [T/A].
+        """
         return self.field_per_ampere(np.reshape(point, (1, -1)))[:, 0].T
 
     def power(self, currents: ArrayLike) -> float:
-        """Return the heat [W] in the windings for `currents` (N,) [A]."""
+        """Return the heat [W] in the windings for `currents` (N,) [A].
+
+        Parameters
+        ----------
+        currents : ArrayLike, shape (N,)
+            Current of each coil [A].
+
+        Returns
+        -------
+        float
+            Heat [W].
+        """
         return float(np.square(currents) @ self.resistance)

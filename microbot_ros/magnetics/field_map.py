@@ -58,16 +58,49 @@ class FieldMap:
         self._low, self._high = (np.array([along[end] for along in places]) for end in (0, -1))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3); NaN outside the grid."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3); NaN outside the grid.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3)
+            Field [T/A].
+        """
         return self._evaluate(as_points(points), (0, 0, 0))
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3); NaN outside the grid."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3); NaN outside the grid.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3, 3)
+            Gradient [T/m/A].
+        """
         points = as_points(points)
         return np.stack([self._evaluate(points, orders) for orders in np.eye(3, dtype=int)], -1)
 
     def margin(self, point: np.ndarray) -> float:
-        """Return the distance [m] from `point` to the nearest side of the grid; < 0 outside."""
+        """Return the distance [m] from `point` to the nearest side of the grid; < 0 outside.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Point [m].
+
+        Returns
+        -------
+        float
+            Distance [m]; negative outside.
+        """
         return float(np.minimum(point - self._low, self._high - point).min())
 
     def _evaluate(self, points: np.ndarray, orders: ArrayLike) -> np.ndarray:
@@ -80,6 +113,16 @@ def read_field_map(path: str | Path) -> FieldMap:
     CSV has the columns `COLUMNS`, with rows and columns in any order. NPZ has `x_mm`, `y_mm`,
     `z_mm` and `field_mT_per_A` (X, Y, Z, 3). Raises InputError naming `path`, and for a table the
     line, for positions that are missing, duplicate or not finite.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to read or write.
+
+    Returns
+    -------
+    FieldMap
+        The map.
     """
     path = Path(path)
     if path.suffix == '.npz':

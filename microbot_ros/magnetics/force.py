@@ -50,12 +50,36 @@ class MagneticParticle:
         return 6 * math.pi * self.viscosity * self.radius
 
     def alignment_time(self, field: float) -> float:
-        """Return the time constant [s] of aligning with a `field` [T]: 8πηr³/(moment × field)."""
+        """Return the time constant [s] of aligning with a `field` [T]: 8πηr³/(moment × field).
+
+        Parameters
+        ----------
+        field : float
+            Magnitude of the field [T].
+
+        Returns
+        -------
+        float
+            Time constant [s].
+        """
         return 8 * math.pi * self.viscosity * self.radius**3 / (self.moment * field)
 
 
 def force(moment: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Return (m·∇)B [N] for `moment` (..., 3) [A m²] and `gradient` (..., 3, 3) [T/m]."""
+    """Return (m·∇)B [N] for `moment` (..., 3) [A m²] and `gradient` (..., 3, 3) [T/m].
+
+    Parameters
+    ----------
+    moment : ndarray, shape (..., 3)
+        Magnetic moment [A m²].
+    gradient : ndarray, shape (..., 3, 3)
+        Gradient of the field [T/m].
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Force [N].
+    """
     return np.einsum('...j,...ij->...i', moment, gradient)
 
 
@@ -74,6 +98,11 @@ def force_speed(
     magnitude : float
         Field at the centre [T].
     particle : MagneticParticle
+
+    Returns
+    -------
+    ndarray, shape (M,)
+        Speed [m/s].
 
     Raises
     ------

@@ -134,6 +134,21 @@ def loop_gradient(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: f
 
     `points`, `centre`, `axes`, `a` and `turns` as in `loop_field`. The gradient is symmetric and
     has no trace, since the field has neither curl nor divergence off the wire.
+
+    Parameters
+    ----------
+    points : ndarray, shape (M, 3)
+        Points [m].
+    centre : ndarray, shape (3,)
+        Centre of the loop [m].
+    axes : ndarray, shape (3, 3)
+        Axes of the loop, as in `loop_field`.
+    a : float
+        Radius of the loop [m].
+    turns : float
+        Number of turns.
+    out : ndarray, shape (M, 3, 3)
+        Array that receives the gradient.
     """
     block = np.empty((11, _BLOCK))
     local = np.empty((3, 3))

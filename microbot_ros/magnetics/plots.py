@@ -14,6 +14,15 @@ def draw_calibration(calibration: Calibration, readings: Readings, path: str | P
     """Save a figure of measured over fitted field, the residuals, and the gain of each coil.
 
     `calibration` was fitted to `readings`; `path` is the image file.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The calibration.
+    readings : Readings
+        Readings that it was fitted to.
+    path : str or Path
+        Image file to write.
     """
     from matplotlib.figure import Figure
     figure = Figure(figsize=(9, 4.5), layout='constrained')

@@ -56,6 +56,17 @@ def polyline_field(points: np.ndarray, vertices: np.ndarray, turns: float,
     """Write the field per ampere [T/A] of a polyline at `points` (M, 3) [m] to `out` (M, 3).
 
     The current runs along `vertices` (V, 3) [m] in their order, `turns` times. NaN on the wire.
+
+    Parameters
+    ----------
+    points : ndarray, shape (M, 3)
+        Points [m].
+    vertices : ndarray, shape (V, 3)
+        Vertices in order [m].
+    turns : float
+        Number of turns.
+    out : ndarray, shape (M, 3)
+        Array that receives the field.
     """
     work = np.empty((3, 3))
     for i in range(len(points)):
@@ -71,6 +82,17 @@ def polyline_gradient(points: np.ndarray, vertices: np.ndarray, turns: float,
     """Write the gradient per ampere ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m] to `out` (M, 3, 3).
 
     `vertices` and `turns` as in `polyline_field`.
+
+    Parameters
+    ----------
+    points : ndarray, shape (M, 3)
+        Points [m].
+    vertices : ndarray, shape (V, 3)
+        Vertices in order [m].
+    turns : float
+        Number of turns.
+    out : ndarray, shape (M, 3, 3)
+        Array that receives the gradient.
     """
     work = np.empty((3, 3))
     for i in range(len(points)):

@@ -40,11 +40,33 @@ class Saturation:
         self._driven = PchipInterpolator(effective, true, extrapolate=False)
 
     def driven(self, effective: ArrayLike) -> np.ndarray:
-        """Convert `effective` currents [A] to true ones; NaN beyond the curve."""
+        """Convert `effective` currents [A] to true ones; NaN beyond the curve.
+
+        Parameters
+        ----------
+        effective : ArrayLike
+            Effective currents, of any shape [A].
+
+        Returns
+        -------
+        ndarray
+            Currents of the windings [A], of the same shape.
+        """
         return np.sign(effective) * self._driven(np.abs(effective))
 
     def effective(self, driven: ArrayLike) -> np.ndarray:
-        """Convert true currents `driven` [A] to effective ones; NaN beyond the curve."""
+        """Convert true currents `driven` [A] to effective ones; NaN beyond the curve.
+
+        Parameters
+        ----------
+        driven : ArrayLike
+            Currents of the windings [A], of any shape.
+
+        Returns
+        -------
+        ndarray
+            Effective currents [A], of the same shape.
+        """
         driven = np.asarray(driven, dtype=float)
         found = [self._inverse(current) for current in np.abs(driven).ravel().tolist()]
         return np.sign(driven) * np.reshape(found, driven.shape)

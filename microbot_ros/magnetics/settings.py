@@ -83,7 +83,13 @@ class Winding(Settings):
         return self
 
     def made_by(self) -> Source:
-        """Return the field source of this coil, gain and sign included."""
+        """Return the field source of this coil, gain and sign included.
+
+        Returns
+        -------
+        Source
+            The source.
+        """
         centre, factor = 1e-3 * np.array(self.position_mm), self.gain * self.sign
         if self.field_map is not None:
             from microbot_ros.magnetics.field_map import read_field_map
@@ -100,11 +106,28 @@ class Winding(Settings):
         return Polyline(corners, turns)
 
     def curve(self) -> Saturation:
-        """Return the saturation curve of the core; InputError for pairs that do not increase."""
+        """Return the saturation curve of the core; InputError for pairs that do not increase.
+
+        Returns
+        -------
+        Saturation
+            The curve.
+        """
         return Saturation(self.saturation or ())
 
     def coincides_with(self, other: Winding) -> bool:
-        """Return whether the `other` coil occupies the same place, in either winding direction."""
+        """Return whether the `other` coil occupies the same place, in either winding direction.
+
+        Parameters
+        ----------
+        other : Winding
+            The other coil.
+
+        Returns
+        -------
+        bool
+            Whether it does.
+        """
         alike = all(getattr(self, name) == getattr(other, name)
                     for name in ('position_mm', *_SHAPES))
         if alike and self.axis is not None and other.axis is not None:

@@ -22,20 +22,63 @@ class Source(Protocol):
     """Field of a coil that carries 1 A."""
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3)."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3)
+            Field [T/A].
+        """
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3, 3)
+            Gradient [T/m/A].
+        """
 
     def margin(self, point: np.ndarray) -> float:
         """Return the distance [m] from `point` (3,) [m] to the wire or to the edge of a field map.
 
         Negative outside a map; infinite if no end is known.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Point [m].
+
+        Returns
+        -------
+        float
+            Distance [m].
         """
 
 
 def as_points(points: ArrayLike) -> np.ndarray:
-    """Return points as a contiguous (M, 3) array; (M, 2) lie in z = 0. Otherwise InputError."""
+    """Return points as a contiguous (M, 3) array; (M, 2) lie in z = 0. Otherwise InputError.
+
+    Parameters
+    ----------
+    points : ArrayLike, shape (M, 3)
+        Points [m]; (M, 2) lie in the plane z = 0.
+
+    Returns
+    -------
+    ndarray, shape (M, 3)
+        Points [m].
+    """
     array = np.ascontiguousarray(points, dtype=float)
     if array.ndim == 2 and array.shape[1] == 2:
         array = np.column_stack([array, np.zeros(len(array))])
@@ -73,17 +116,50 @@ class Loop:
                       float(_finite('turns', turns)))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3)."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3)
+            Field [T/A].
+        """
         from microbot_ros.magnetics.loop import loop_field
         return _fill(loop_field, points, (3,), *self._wire)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3, 3)
+            Gradient [T/m/A].
+        """
         from microbot_ros.magnetics.loop import loop_gradient
         return _fill(loop_gradient, points, (3, 3), *self._wire)
 
     def margin(self, point: np.ndarray) -> float:
-        """Return the distance [m] from `point` (3,) [m] to the wire."""
+        """Return the distance [m] from `point` (3,) [m] to the wire.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Point [m].
+
+        Returns
+        -------
+        float
+            Distance [m].
+        """
         centre, axes, radius, _ = self._wire
         x, y, z = (point - centre) @ axes
         return math.hypot(math.hypot(x, y) - radius, z)
@@ -114,17 +190,50 @@ class Polyline:
         self._wire = (corners, float(_finite('turns', turns)))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3)."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3)
+            Field [T/A].
+        """
         from microbot_ros.magnetics.polyline import polyline_field
         return _fill(polyline_field, points, (3,), *self._wire)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3, 3)
+            Gradient [T/m/A].
+        """
         from microbot_ros.magnetics.polyline import polyline_gradient
         return _fill(polyline_gradient, points, (3, 3), *self._wire)
 
     def margin(self, point: np.ndarray) -> float:
-        """Return the distance [m] from `point` (3,) [m] to the wire."""
+        """Return the distance [m] from `point` (3,) [m] to the wire.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Point [m].
+
+        Returns
+        -------
+        float
+            Distance [m].
+        """
         starts, sides = self._wire[0][:-1], np.diff(self._wire[0], axis=0)
         along = np.einsum('vi,vi->v', point - starts, sides) / np.square(sides).sum(axis=1)
         nearest = starts + np.clip(along, 0, 1)[:, None] * sides
@@ -135,6 +244,15 @@ class Placed:
     """Another `source` with its origin moved to `centre` (3,) [m] and its field times `factor`.
 
     Raises InputError for values that are not finite.
+
+    Parameters
+    ----------
+    source : Source
+        The other source.
+    centre : ArrayLike
+        New place of its origin (3,) [m].
+    factor : float
+        Factor on its field.
     """
 
     def __init__(self, source: Source, centre: ArrayLike, factor: float = 1.0) -> None:
@@ -142,15 +260,48 @@ class Placed:
         self._factor = float(_finite('factor', factor))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3)."""
+        """Return the field [T/A] at `points` (M, 3) [m], shape (M, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3)
+            Field [T/A].
+        """
         return self._factor * self._source.field_per_ampere(as_points(points) - self._centre)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
-        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3)."""
+        """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3).
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (M, 3)
+            Points [m]; (M, 2) lie in the plane z = 0.
+
+        Returns
+        -------
+        ndarray, shape (M, 3, 3)
+            Gradient [T/m/A].
+        """
         return self._factor * self._source.gradient_per_ampere(as_points(points) - self._centre)
 
     def margin(self, point: np.ndarray) -> float:
-        """Return `Source.margin` of the source at `point` (3,) [m]."""
+        """Return `Source.margin` of the source at `point` (3,) [m].
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Point [m].
+
+        Returns
+        -------
+        float
+            Distance [m].
+        """
         return self._source.margin(point - self._centre)
 
 

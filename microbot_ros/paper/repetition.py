@@ -37,19 +37,19 @@ from microbot_ros.virtual_rig.record_session import Camera, record_session, scat
 from microbot_ros.virtual_rig.world import World
 
 # The paper's numbers, in SI.
-FLUID = Fluid(viscosity=1.245e-3, temperature=298.15)
-RADIUS = 4.6e-6
-MASS = 4.01e-13
-FORCE = MASS * np.array([1.00, 1.18, 1.34])
-PHI = np.array([-1.09, 3.82, 2.64])
-DURATION = 15.0
-LEGS = (2.0, 6.0)
-STEP = 0.02
+FLUID = Fluid(viscosity=1.245e-3, temperature=298.15)  # the paper; temperature assumed
+RADIUS = 4.6e-6  # the paper [m]; see `summary.ASSUMED`
+MASS = 4.01e-13  # the paper [kg]
+FORCE = MASS * np.array([1.00, 1.18, 1.34])  # the paper [N]
+PHI = np.array([-1.09, 3.82, 2.64])  # the paper [rad]
+DURATION = 15.0  # the paper [s]
+LEGS = (2.0, 6.0)  # the paper: shortest and longest leg [s]
+STEP = 0.02  # the paper: step of Euler's method [s]
 
 # Assumed, as the paper does not state them; listed on the page (`summary.ASSUMED`).
 FIELD = 5e-3
 MOMENT = MagneticParticle(radius=RADIUS, viscosity=FLUID.viscosity).moment
-CAMERA = Camera(frame_rate=30.0, exposure=1.0, noise=0.1e-6)
+CAMERA = Camera(frame_rate=30.0, exposure=1.0, noise=0.1e-6)  # assumed, see `summary.ASSUMED`
 
 APPROACHES = ('own', 'mean', 'true')
 """Force of each particle's own leg, mean force of the three, and the true force."""
@@ -72,13 +72,35 @@ class Trial:
     rmse_stokes: dict[str, np.ndarray]
 
     def error(self, approach: str) -> np.ndarray:
-        """Return the distance (T, 3) [m] of an `approach`'s prediction from the measurement."""
+        """Return the distance (T, 3) [m] of an `approach`'s prediction from the measurement.
+
+        Parameters
+        ----------
+        approach : str
+            One of APPROACHES.
+
+        Returns
+        -------
+        ndarray, shape (T, 3)
+            Distances [m].
+        """
         error: np.ndarray = np.linalg.norm(self.predicted[approach] - self.measured, axis=-1)
         return error
 
 
 def record(seed: int) -> Session:
-    """Simulate three particles of the paper for 15 s under straight legs, drawn by `seed`."""
+    """Simulate three particles of the paper for 15 s under straight legs, drawn by `seed`.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the random numbers.
+
+    Returns
+    -------
+    Session
+        The recording.
+    """
     rng = np.random.default_rng(seed)
     made = bodies(
         FLUID, np.full(3, RADIUS), MOMENT, PHI, scatter(rng, 3, 60e-6, 30e-6),
@@ -89,7 +111,20 @@ def record(seed: int) -> Session:
 
 
 def swimmers(force: np.ndarray, phi: np.ndarray) -> list[Particle]:
-    """Return the paper's spheres with a `force` (N,) [N] and an offset `phi` (N,) [rad] each."""
+    """Return the paper's spheres with a `force` (N,) [N] and an offset `phi` (N,) [rad] each.
+
+    Parameters
+    ----------
+    force : ndarray, shape (N,)
+        Forces [N].
+    phi : ndarray, shape (N,)
+        Offsets [rad].
+
+    Returns
+    -------
+    list of Particle
+        One particle for each.
+    """
     return [
         Particle(RADIUS, MASS, float(f), float(p), MOMENT)
         for f, p in zip(force, phi, strict=True)]
@@ -101,6 +136,22 @@ def first_order(
     """Solve dp/dt = v R(φ) u, exact between commands; return positions (T, N, 2) [m].
 
     All solvers here start at `start` (N, 2) [m] at the first of `times` (T,) [s].
+
+    Parameters
+    ----------
+    particles : list of Particle
+        The N particles.
+    commands : Commands
+        Commands of the field.
+    times : ndarray, shape (T,)
+        Times [s].
+    start : ndarray, shape (N, 2)
+        Positions at the first time [m].
+
+    Returns
+    -------
+    ndarray, shape (T, N, 2)
+        Positions [m].
     """
     drag = stokes_drag(FLUID, RADIUS)
     parameters = ParticleParameters(
@@ -112,7 +163,24 @@ def first_order(
 def euler(
     particles: list[Particle], commands: Commands, times: np.ndarray, start: np.ndarray,
 ) -> np.ndarray:
-    """Solve by the paper's method, Euler steps of 0.02 s, at `times` from `start`."""
+    """Solve by the paper's method, Euler steps of 0.02 s, at `times` from `start`.
+
+    Parameters
+    ----------
+    particles : list of Particle
+        The N particles.
+    commands : Commands
+        Commands of the field.
+    times : ndarray, shape (T,)
+        Times [s].
+    start : ndarray, shape (N, 2)
+        Positions at the first time [m].
+
+    Returns
+    -------
+    ndarray, shape (T, N, 2)
+        Positions [m].
+    """
     grid = np.arange(times[0], times[-1] + STEP, STEP)
     field = commands.field_at(grid[:-1])
     direction = np.arctan2(field[:, 1], field[:, 0])
@@ -131,7 +199,24 @@ def euler(
 def with_rotation(
     particles: list[Particle], commands: Commands, times: np.ndarray, start: np.ndarray,
 ) -> np.ndarray:
-    """Solve Newton–Stokes with rotation at `times` from `start`, aligned to the first command."""
+    """Solve Newton–Stokes with rotation at `times` from `start`, aligned to the first command.
+
+    Parameters
+    ----------
+    particles : list of Particle
+        The N particles.
+    commands : Commands
+        Commands of the field.
+    times : ndarray, shape (T,)
+        Times [s].
+    start : ndarray, shape (N, 2)
+        Positions at the first time [m].
+
+    Returns
+    -------
+    ndarray, shape (T, N, 2)
+        Positions [m].
+    """
     x, y = commands.field_at(times[0])
     heading = math.atan2(y, x) + np.array([p.phi for p in particles])
     return newton_stokes(FLUID, particles, commands, times, start, heading)[0]
@@ -140,7 +225,24 @@ def with_rotation(
 def stokes(
     particles: list[Particle], commands: Commands, times: np.ndarray, start: np.ndarray,
 ) -> np.ndarray:
-    """Solve the paper's own reduction, Stokes' law, by a stiff solver at `times` from `start`."""
+    """Solve the paper's own reduction, Stokes' law, by a stiff solver at `times` from `start`.
+
+    Parameters
+    ----------
+    particles : list of Particle
+        The N particles.
+    commands : Commands
+        Commands of the field.
+    times : ndarray, shape (T,)
+        Times [s].
+    start : ndarray, shape (N, 2)
+        Positions at the first time [m].
+
+    Returns
+    -------
+    ndarray, shape (T, N, 2)
+        Positions [m].
+    """
     return stokes_translation(FLUID, particles, commands, times, start)
 
 
@@ -154,7 +256,18 @@ SOLVERS: dict[str, Solver] = {
 
 
 def attempt(seed: int) -> Trial:
-    """Record by `seed`, estimate F and φ from one leg, predict by every approach, compare."""
+    """Record by `seed`, estimate F and φ from one leg, predict by every approach, compare.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the random numbers.
+
+    Returns
+    -------
+    Trial
+        The trial.
+    """
     session = record(seed)
     times, measured = session.tracks.grid()
     legs = one_leg(session)
@@ -174,13 +287,37 @@ def attempt(seed: int) -> Trial:
 
 
 def rmse(path: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return the root-mean-square distance (N,) [m] of `path` from `measured` (T, N, 2)."""
+    """Return the root-mean-square distance (N,) [m] of `path` from `measured` (T, N, 2).
+
+    Parameters
+    ----------
+    path : ndarray, shape (T, N, 2)
+        Predicted positions [m].
+    measured : ndarray, shape (T, N, 2)
+        Measured positions [m].
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Distances [m].
+    """
     result: np.ndarray = np.sqrt(((path - measured) ** 2).sum(axis=-1).mean(axis=0))
     return result
 
 
 def run_times(trial: Trial) -> dict[str, float]:
-    """Return the median seconds of every solver on one trial, in turns against shared noise."""
+    """Return the median seconds of every solver on one trial, in turns against shared noise.
+
+    Parameters
+    ----------
+    trial : Trial
+        The trial.
+
+    Returns
+    -------
+    dict of str to float
+        Time [s] by solver.
+    """
     particles = swimmers(FORCE, PHI)
     spent: dict[str, list[float]] = {name: [] for name in SOLVERS}
     for _ in range(6):
@@ -192,7 +329,13 @@ def run_times(trial: Trial) -> dict[str, float]:
 
 
 def constants() -> dict[str, float]:
-    """Return time constants [s], diffusion [m²/s] and distances [m] from the paper's numbers."""
+    """Return time constants [s], diffusion [m²/s] and distances [m] from the paper's numbers.
+
+    Returns
+    -------
+    dict of str to float
+        Values in SI by name.
+    """
     speeds = speed_from_force(FLUID, np.full(3, RADIUS), FORCE)
     tau = translational_time(FLUID, RADIUS, MASS)
     return {

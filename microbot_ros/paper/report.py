@@ -26,7 +26,18 @@ STYLES = {'own': '-', 'mean': '--', 'true': ':'}
 
 
 def draw_trajectories(trial: Trial) -> Figure:
-    """Draw measured paths and the predictions of both approaches, a panel per particle."""
+    """Draw measured paths and the predictions of both approaches, a panel per particle.
+
+    Parameters
+    ----------
+    trial : Trial
+        The trial.
+
+    Returns
+    -------
+    Figure
+        The figure.
+    """
     figure = Figure(figsize=(11, 4.2), layout='constrained')
     axes = figure.subplots(1, 3)
     for i, (axis, colour) in enumerate(zip(axes, PARTICLES, strict=True)):
@@ -45,7 +56,18 @@ def draw_trajectories(trial: Trial) -> Figure:
 
 
 def draw_errors(trials: list[Trial]) -> Figure:
-    """Draw the error over time (median, middle 80 %) and the RMSE next to the paper's."""
+    """Draw the error over time (median, middle 80 %) and the RMSE next to the paper's.
+
+    Parameters
+    ----------
+    trials : list of Trial
+        The trials.
+
+    Returns
+    -------
+    Figure
+        The figure.
+    """
     figure = Figure(figsize=(11, 4.2), layout='constrained')
     over_time, bars = figure.subplots(1, 2)
     _draw_over_time(over_time, trials)
@@ -83,19 +105,56 @@ def _draw_bars(axis: Axes, trials: list[Trial]) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """Return the figure as a PNG."""
+    """Return the figure as a PNG.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+
+    Returns
+    -------
+    bytes
+        Bytes of the PNG.
+    """
     stream = io.BytesIO()
     figure.savefig(stream, format='png', dpi=130)
     return stream.getvalue()
 
 
 def embedded(picture: bytes) -> str:
-    """Return a PNG `picture` as a data address for a self-contained page."""
+    """Return a PNG `picture` as a data address for a self-contained page.
+
+    Parameters
+    ----------
+    picture : bytes
+        Bytes of a PNG.
+
+    Returns
+    -------
+    str
+        Address for `src`.
+    """
     return 'data:image/png;base64,' + base64.b64encode(picture).decode()
 
 
 def page(summary: dict[str, Any], trajectories: bytes, errors: bytes) -> str:
-    """Return the page for a `summary.summarise`; `trajectories` and `errors` are PNGs."""
+    """Return the page for a `summary.summarise`; `trajectories` and `errors` are PNGs.
+
+    Parameters
+    ----------
+    summary : dict of str to object
+        Result of `summary.summarise`.
+    trajectories : bytes
+        PNG of `draw_trajectories`.
+    errors : bytes
+        PNG of `draw_errors`.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     template = environment.from_string(_TEMPLATE.read_text(encoding='utf-8'))
     stokes, rotation, _, first = summary['run_time_s'].values()

@@ -40,12 +40,25 @@ ASSUMED = (
     'legs of 2–6 s in directions drawn evenly from the circle; F and φ from the longest leg',
     'no walls, no flow, no interaction, no drift, constant fuel',
 )
+"""Conditions that the paper does not state, as sentences for the page."""
 
 
 def summarise(trials: list[Trial], run_times: dict[str, float]) -> dict[str, Any]:
     """Return all numbers of the page, ready for JSON, with units in the names.
 
     `run_times` [s] by solver, as from `repetition.run_times`.
+
+    Parameters
+    ----------
+    trials : list of Trial
+        The trials.
+    run_times : dict of str to float
+        Time [s] by solver, as from `repetition.run_times`.
+
+    Returns
+    -------
+    dict of str to object
+        Values by name.
     """
     by_solver = {
         solver: {a: np.array([getattr(t, kind)[a] for t in trials]) for a in APPROACHES}

@@ -51,12 +51,33 @@ class DriveCurve:
         """Return whether the speed falls below the `highest` driven frequency [Hz].
 
         If not, the gain may still fall with frequency: rollers slip.
+
+        Parameters
+        ----------
+        highest : float
+            Highest driven frequency [Hz].
+
+        Returns
+        -------
+        bool
+            Whether it does.
         """
         speeds = self.speed(np.linspace(highest / 200, highest, 200))
         return bool(speeds[-1] < 0.9 * speeds.max() and self.step_out.high < highest)
 
     def speed(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the speed [m/s] of a robot of mean gain at each `frequency` [Hz]."""
+        """Return the speed [m/s] of a robot of mean gain at each `frequency` [Hz].
+
+        Parameters
+        ----------
+        frequency : ndarray
+            Frequencies, of any shape [Hz].
+
+        Returns
+        -------
+        ndarray
+            Speeds [m/s], of the same shape.
+        """
         found: np.ndarray = self.gains.mean() * frequency * _factor(self.effect, frequency)
         return found
 

@@ -17,13 +17,25 @@ _MEAN, _LAW, _CUT_IN, _STEP_OUT, _ROBOT = '#0072B2', '#D55E00', '#009E73', '#CC7
 _STYLE: dict[Any, Any] = {'font.size': 8, 'axes.linewidth': 0.6, 'axes.spines.top': False,
           'axes.spines.right': False, 'xtick.major.width': 0.6, 'ytick.major.width': 0.6,
           'legend.frameon': False, 'legend.fontsize': 7, 'svg.fonttype': 'none'}
+"""Choice: sizes [pt] that stay readable in two columns of a journal."""
 _WIDEST_ANGLE = np.radians(60)  # choice: slip angles with a wider 95 % interval are not drawn
 _WIDTH, _HEIGHT = 7.2, 2.3
 """Size in inches: two columns of a journal, and a row of panels per kind."""
 
 
 def draw(found: Response) -> Figure:
-    """Draw the response `found`; a row of panels per kind."""
+    """Draw the response `found`; a row of panels per kind.
+
+    Parameters
+    ----------
+    found : Response
+        The response.
+
+    Returns
+    -------
+    Figure
+        The figure.
+    """
     import matplotlib as mpl
 
     with mpl.rc_context(_STYLE):

@@ -114,6 +114,18 @@ def levels(commands: Commands, against: Against) -> np.ndarray:
     """Return the level (K,) of each command; NaN if nothing is driven.
 
     `against` selects |f| [Hz], |B| [T] or the tilt of the axis [rad].
+
+    Parameters
+    ----------
+    commands : Commands
+        K commands.
+    against : Against
+        Frequency, field or tilt.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+        Levels in SI.
     """
     strength = np.hypot(*commands.field.T)
     driven = strength > 0
@@ -134,6 +146,20 @@ def respond(session: Session, against: Against, definition: Definition) -> Sessi
 
     `definition` selects how speed is measured. For `motion`, stretches in which another commanded
     quantity is not at its most common value are left out. The result may have no plateaus.
+
+    Parameters
+    ----------
+    session : Session
+        The session.
+    against : Against
+        Quantity that is varied.
+    definition : Definition
+        Definition of speed.
+
+    Returns
+    -------
+    SessionResponse
+        Plateaus of each particle.
     """
     commands = session.commands
     if not len(commands.t):

@@ -21,6 +21,7 @@ from microbot_ros.response.result import Group, Level, Response, Row
 _TEMPLATE = Path(__file__).with_name('page.html')
 _QUANTITIES = {'speed_um_s': ('speed', 1e6), 'across_um_s': ('across', 1e6),
                'slip_rad': ('slip', 1.0), 'turning_rad_s': ('turning', 1.0)}
+"""Field of a level and its factor from SI, by column; the factors are those of the units."""
 _PARTS = {'': 'value', '_std': 'std', '_low_95': 'low', '_high_95': 'high'}
 
 
@@ -28,6 +29,16 @@ def rows(found: Response) -> list[dict[str, Any]]:
     """Return a row for every robot and level of the response `found`, in the units of the names.
 
     Unknown values are None.
+
+    Parameters
+    ----------
+    found : Response
+        The response.
+
+    Returns
+    -------
+    list of dict of str to object
+        One dictionary per row.
     """
     return [_row(found, row) for row in found.rows]
 
@@ -46,7 +57,18 @@ def _row(found: Response, row: Row) -> dict[str, Any]:
 
 
 def as_json(found: Response) -> dict[str, Any]:
-    """Return the response `found` as `response.json`; null if unknown."""
+    """Return the response `found` as `response.json`; null if unknown.
+
+    Parameters
+    ----------
+    found : Response
+        The response.
+
+    Returns
+    -------
+    dict of str to object
+        Content of the file.
+    """
     return {
         'sentence': words.summary(found), 'against': found.against,
         'definition': found.definition, 'difference': words.difference(found),
@@ -99,7 +121,15 @@ def _finite(value: float) -> float | None:
 
 
 def write(found: Response, folder: Path) -> None:
-    """Write `response.csv`, `.json`, `.png`, `.pdf` and `.html` of `found` into `folder`."""
+    """Write `response.csv`, `.json`, `.png`, `.pdf` and `.html` of `found` into `folder`.
+
+    Parameters
+    ----------
+    found : Response
+        The response.
+    folder : Path
+        Folder for the files.
+    """
     table = rows(found)
     (folder / 'response.csv').write_text(_csv(table), encoding='utf-8')
     text = json.dumps(as_json(found), indent=1, ensure_ascii=False, allow_nan=False)
@@ -121,7 +151,20 @@ def _csv(table: list[dict[str, Any]]) -> str:
 
 
 def page(found: Response, figure: str) -> str:
-    """Return the response `found` as self-contained HTML, with its `figure` as a data address."""
+    """Return the response `found` as self-contained HTML, with its `figure` as a data address.
+
+    Parameters
+    ----------
+    found : Response
+        The response.
+    figure : str
+        Data address of the figure.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {'number': report_words.number}

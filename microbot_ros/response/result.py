@@ -24,10 +24,12 @@ _FALLS = 0.9
 """Choice: share of its top speed above which a robot at its last level has not stepped out."""
 _FEWEST_ROBOTS = 4
 """Choice: robots needed to call one of them unlike the others."""
-# Choices: a robot is unlike the others if its speed differs by this factor and by this many usual
-# spreads; objectives differ by factors of 2, robots of one kind by 20 %.
 _UNLIKE = 1.5
+"""Choice: ratio of speeds from which a robot is unlike the others: objectives differ by factors of
+2, robots of one kind by 20 %."""
 _UNLIKE_SPREADS = 4.0
+"""Choice: difference in usual spreads that is required as well; at half, chance would report one
+robot in twenty."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,22 @@ class Response:
 
 def respond_all(sessions: Sequence[Labelled], against: Against, definition: Definition,
                 ) -> Response:
-    """Combine all `sessions` `against` a commanded quantity, by a `definition` of speed."""
+    """Combine all `sessions` `against` a commanded quantity, by a `definition` of speed.
+
+    Parameters
+    ----------
+    sessions : sequence of Labelled
+        The sessions with their labels.
+    against : Against
+        Quantity that is varied.
+    definition : Definition
+        Definition of speed.
+
+    Returns
+    -------
+    Response
+        The response.
+    """
     rows, notes, delays, without = [], {}, {}, []
     both: dict[Definition, list[Row]] = {'motion': [], 'tables': []}
     for one in sessions:

@@ -16,7 +16,18 @@ COLUMNS: dict[Against, tuple[str, float, str]] = {
 
 
 def summary(found: Response) -> str:
-    """Return the result in one sentence."""
+    """Return the result in one sentence.
+
+    Parameters
+    ----------
+    found : Response
+        The response.
+
+    Returns
+    -------
+    str
+        The sentence.
+    """
     if not found.kinds:
         return 'No plateau of the command was found.'
     return '; '.join(_of_kind(found, group) for group in found.kinds) + '.'
@@ -68,7 +79,18 @@ def _speed(value: float) -> str:
 
 
 def difference(found: Response) -> str:
-    """Return why `motion` and `tables` differ, with the numbers of this data; '' without both."""
+    """Return why `motion` and `tables` differ, with the numbers of this data; '' without both.
+
+    Parameters
+    ----------
+    found : Response
+        The response.
+
+    Returns
+    -------
+    str
+        The sentence, or ''.
+    """
     ratios = [(level, ratio, kind) for kind, of in found.compared.items() for level, ratio in of]
     if not ratios:
         return ''
@@ -89,7 +111,18 @@ def difference(found: Response) -> str:
 
 
 def exclusions(found: Response) -> list[str]:
-    """Return sentences on data that were left out or modelled."""
+    """Return sentences on data that were left out or modelled.
+
+    Parameters
+    ----------
+    found : Response
+        The response.
+
+    Returns
+    -------
+    list of str
+        The sentences.
+    """
     said = []
     if found.definition == 'motion':
         used = sum(row.plateau.frames for row in found.rows)
@@ -116,7 +149,18 @@ def exclusions(found: Response) -> list[str]:
 
 
 def unlike(one: Unlike) -> str:
-    """Return a sentence on a robot that is unlike the others of its kind."""
+    """Return a sentence on a robot that is unlike the others of its kind.
+
+    Parameters
+    ----------
+    one : Unlike
+        The robot.
+
+    Returns
+    -------
+    str
+        The sentence.
+    """
     session, particle = one.robot
     of = f' of {one.kind}' if one.kind else ''
     return (f'{session}, robot {particle}, moves at {one.ratio:.2g} times the speed of the '

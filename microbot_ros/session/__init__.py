@@ -26,6 +26,16 @@ def read_session(path: str | Path) -> Session:
     """Read tracks, commands and conditions from `path`, a session folder or a recording.
 
     Raises InputError naming file, line or topic, and what was expected.
+
+    Parameters
+    ----------
+    path : str or Path
+        File or folder.
+
+    Returns
+    -------
+    Session
+        The session.
     """
     path = Path(path)
     if not path.exists():
@@ -43,5 +53,13 @@ def read_session(path: str | Path) -> Session:
 
 
 def write_session(path: str | Path, session: Session) -> None:
-    """Write `session` to `path` as `tracks.csv`, `commands.csv`, `session.yaml`, all or none."""
+    """Write `session` to `path` as `tracks.csv`, `commands.csv`, `session.yaml`, all or none.
+
+    Parameters
+    ----------
+    path : str or Path
+        Folder to write.
+    session : Session
+        The session.
+    """
     write_folder(Path(path), session)

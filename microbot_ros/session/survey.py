@@ -82,7 +82,18 @@ class Survey:
 
 
 def survey_folder(path: Path) -> tuple[Survey, Session]:
-    """Survey a folder of CSV files at `path`."""
+    """Survey a folder of CSV files at `path`.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+
+    Returns
+    -------
+    tuple[Survey, Session]
+        The survey and the session.
+    """
     session = read_folder(path)
     return _survey(path, SessionMessages(session), None, session, []), session
 
@@ -91,6 +102,16 @@ def survey_recording(recording: Recording) -> tuple[Survey, Session | None]:
     """Survey a `recording`; the session is None if it cannot be read.
 
     Raises InputError if it was cut off before its first message.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    tuple[Survey, Session or None]
+        The survey and the session, or None.
     """
     if not (recording.complete or recording.end_ns):
         raise InputError(recording.path, 'expected messages, found no complete one')
@@ -133,7 +154,18 @@ def _survey(
 
 
 def missing_frames(times: np.ndarray) -> int:
-    """Return the number of frames missing between the first and last of `times` [s]."""
+    """Return the number of frames missing between the first and last of `times` [s].
+
+    Parameters
+    ----------
+    times : ndarray, shape (T,)
+        Times [s].
+
+    Returns
+    -------
+    int
+        The number.
+    """
     steps = np.diff(times)
     if not len(steps):
         return 0
@@ -164,7 +196,22 @@ def _latency(recording: Recording) -> dict[str, float] | None:
 
 
 def command_spread(commands: Commands, start: float, end: float) -> CommandSpread:
-    """Return the spread of `commands` between the times `start` and `end` [s]."""
+    """Return the spread of `commands` between the times `start` and `end` [s].
+
+    Parameters
+    ----------
+    commands : Commands
+        The commands.
+    start : float
+        Beginning [s].
+    end : float
+        End [s].
+
+    Returns
+    -------
+    CommandSpread
+        The spread.
+    """
     edges = np.clip(np.append(commands.t, np.inf), start, end)
     held = np.diff(edges)
     bx, by = commands.field.T

@@ -16,7 +16,17 @@ if TYPE_CHECKING:
 
 
 def draw_survey(survey: Survey, session: Session | None, path: Path) -> None:
-    """Save a figure of `survey` and `session`; the suffix of `path` gives the format."""
+    """Save a figure of `survey` and `session`; the suffix of `path` gives the format.
+
+    Parameters
+    ----------
+    survey : Survey
+        The survey.
+    session : Session or None
+        The session; None for none.
+    path : Path
+        File to write.
+    """
     from matplotlib.figure import Figure
 
     heights = [2.4, 2.4, 0.8 + 0.2 * len(survey.topics)]

@@ -53,6 +53,20 @@ class ImageToWorkspace:
         """Return the transform stated by the `parameters` of a tracker; `width`, `height` [px].
 
         Raises KeyError for one that is missing and ValueError for one that is no number.
+
+        Parameters
+        ----------
+        parameters : mapping of str to object
+            Parameters by name.
+        width : int
+            Width of the picture [px].
+        height : int
+            Height of the picture [px].
+
+        Returns
+        -------
+        Self
+            The transform.
         """
         return cls(units.to_si('pixel_size_um', float(parameters['pixel_size_um'])), width, height,
                    units.to_si('rotation_deg', float(parameters['rotation_deg'])),
@@ -75,31 +89,108 @@ class ImageToWorkspace:
         return np.linalg.inv(self._matrix)
 
     def position(self, pixels: np.ndarray) -> np.ndarray:
-        """Convert image points `pixels` (..., 2) [px] to workspace positions [m]."""
+        """Convert image points `pixels` (..., 2) [px] to workspace positions [m].
+
+        Parameters
+        ----------
+        pixels : ndarray, shape (..., 2)
+            Image points [px].
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Positions [m].
+        """
         return (np.asarray(pixels, float) - self._centre) @ self._matrix.T
 
     def pixels(self, position: np.ndarray) -> np.ndarray:
-        """Convert workspace positions (..., 2) [m] to image points [px]."""
+        """Convert workspace positions (..., 2) [m] to image points [px].
+
+        Parameters
+        ----------
+        position : ndarray, shape (..., 2)
+            Positions [m].
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Image points [px].
+        """
         return np.asarray(position, float) @ self._inverse.T + self._centre
 
     def vector(self, pixels: np.ndarray) -> np.ndarray:
-        """Convert displacements or velocities `pixels` (..., 2) [px, px/s] to [m, m/s]."""
+        """Convert displacements or velocities `pixels` (..., 2) [px, px/s] to [m, m/s].
+
+        Parameters
+        ----------
+        pixels : ndarray, shape (..., 2)
+            Displacements [px] or velocities [px/s].
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Displacements [m] or velocities [m/s].
+        """
         return np.asarray(pixels, float) @ self._matrix.T
 
     def vector_pixels(self, vector: np.ndarray) -> np.ndarray:
-        """Convert a `vector` (..., 2) [m, m/s] to [px, px/s]."""
+        """Convert a `vector` (..., 2) [m, m/s] to [px, px/s].
+
+        Parameters
+        ----------
+        vector : ndarray, shape (..., 2)
+            Displacements [m] or velocities [m/s].
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Displacements [px] or velocities [px/s].
+        """
         return np.asarray(vector, float) @ self._inverse.T
 
     def image_axes(self, vector: np.ndarray) -> np.ndarray:
-        """Rotate a workspace `vector` (..., 2) into image axes, keeping its length."""
+        """Rotate a workspace `vector` (..., 2) into image axes, keeping its length.
+
+        Parameters
+        ----------
+        vector : ndarray, shape (..., 2)
+            Vectors in the workspace.
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Vectors in the axes of the image.
+        """
         return self.vector_pixels(vector) * self.pixel_size
 
     def angle(self, image_angle: np.ndarray) -> np.ndarray:
-        """Convert an `image_angle` [rad] to workspace angles in (−π, π]; NaN stays NaN."""
+        """Convert an `image_angle` [rad] to workspace angles in (−π, π]; NaN stays NaN.
+
+        Parameters
+        ----------
+        image_angle : ndarray
+            Angles in the image, of any shape [rad].
+
+        Returns
+        -------
+        ndarray
+            Angles in the workspace [rad], of the same shape.
+        """
         return _wrapped(self.rotation + self._sense * np.asarray(image_angle, float))
 
     def image_angle(self, angle: np.ndarray) -> np.ndarray:
-        """Convert a workspace `angle` [rad] to image angles in (−π, π]; NaN stays NaN."""
+        """Convert a workspace `angle` [rad] to image angles in (−π, π]; NaN stays NaN.
+
+        Parameters
+        ----------
+        angle : ndarray
+            Angles in the workspace, of any shape [rad].
+
+        Returns
+        -------
+        ndarray
+            Angles in the image [rad], of the same shape.
+        """
         return _wrapped(self._sense * (np.asarray(angle, float) - self.rotation))
 
     @property

@@ -25,6 +25,13 @@ class Drive:
         """Set the `drive` (2,) from `t` [s] on; values that are not finite are ignored.
 
         A time before the last one replaces what was known from there on.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        drive : ndarray, shape (2,)
+            The drive.
         """
         x, y = map(float, drive)
         if not all(map(math.isfinite, (t, x, y))):
@@ -34,7 +41,20 @@ class Drive:
         self._commands.append((t, complex(x, y)))
 
     def between(self, start: float, end: float) -> np.ndarray:
-        """Return the drive (2,) integrated from `start` to `end` [s]; forget what came before."""
+        """Return the drive (2,) integrated from `start` to `end` [s]; forget what came before.
+
+        Parameters
+        ----------
+        start : float
+            Beginning [s].
+        end : float
+            End [s].
+
+        Returns
+        -------
+        ndarray, shape (2,)
+            The integral.
+        """
         while len(self._commands) > 1 and self._commands[1][0] <= start:
             self._commands.popleft()
         total, until = 0j, end

@@ -33,6 +33,20 @@ class FrameQuality:
         """Return problems of an `image` (H, W), `dt` [s] after the last: kind → sentence.
 
         `jump_px` is the jump of the whole picture, as found by the linker.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        dt : float or None
+            Time since the last frame [s]; None for the first.
+        jump_px : float
+            Jump of the whole picture [px].
+
+        Returns
+        -------
+        dict of str to str
+            Sentence by kind of problem.
         """
         said = self._see(image)
         self._frames += 1

@@ -45,6 +45,18 @@ def measure_graticule(image: np.ndarray, source: str) -> Graticule:
 
     The period is the peak of the Fourier spectrum, interpolated; that of the whole picture is the
     start for each quarter. Raises InputError naming `source` if nothing repeats, or not evenly.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        The picture.
+    source : str
+        Name of the picture, for messages.
+
+    Returns
+    -------
+    Graticule
+        Period and angle of the lines.
     """
     flat = _flattened(image)
     whole = _refined(flat, _peak(flat, source))

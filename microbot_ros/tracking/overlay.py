@@ -28,6 +28,22 @@ def draw_overlay(
 
     A ring of `radius_px` and the identity of `poses` mark each particle, a thin ring a predicted
     one; a line points along θ if known; `trails` holds earlier positions.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        The picture.
+    poses : Poses
+        Poses of the particles.
+    radius_px : float
+        Radius of the rings [px].
+    trails : dict of int to deque of ndarray or None
+        Earlier positions [px] by identity; None for none.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 3)
+        Picture, BGR, uint8.
     """
     import cv2
 
@@ -93,7 +109,15 @@ class OverlayVideo:
         self._file.close()
 
     def write(self, image: np.ndarray, poses: Poses) -> None:
-        """Add one frame, `image` (H, W), with the particles of `poses` and their trails."""
+        """Add one frame, `image` (H, W), with the particles of `poses` and their trails.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        poses : Poses
+            Poses of the particles.
+        """
         self._trails = {
             int(i): self._trails.get(int(i), deque(maxlen=_TRAIL)) for i in poses.id}
         for i, place in zip(poses.id, poses.xy, strict=True):
@@ -101,7 +125,13 @@ class OverlayVideo:
         self.write_picture(draw_overlay(image, poses, self._radius, self._trails))
 
     def write_picture(self, picture: np.ndarray) -> None:
-        """Add a `picture` (H, W, 3) BGR that is drawn already."""
+        """Add a `picture` (H, W, 3) BGR that is drawn already.
+
+        Parameters
+        ----------
+        picture : ndarray, shape (H, W, 3)
+            The picture, BGR.
+        """
         import av
         import cv2
 

@@ -21,6 +21,17 @@ class Rows:
     `kinds` they end with the name of the kind. Unknown values are empty: a heading, and heading
     and σ of particles that had no name yet. `frames` counts tracked frames, `seen` the rows of
     each particle. `size` (height, width) of the frames [px]; `pixel_size` [m] or None.
+
+    Parameters
+    ----------
+    file : TextIO
+        The file.
+    size : tuple[int, int]
+        Height and width of the pictures [px].
+    pixel_size : float or None
+        Size of a pixel [m]; None for unknown.
+    kinds : sequence of str
+        Names of the kinds; empty for no kinds.
     """
 
     def __init__(self, file: TextIO, size: tuple[int, int], pixel_size: float | None,
@@ -42,6 +53,17 @@ class Rows:
         """Add the `poses` of a `frame` and the `names` (n,) of particles named in it.
 
         Those were at `before` (n, K, 2) [px] in the K frames before.
+
+        Parameters
+        ----------
+        frame : int
+            Number of the frame.
+        poses : Poses
+            Poses of the particles.
+        names : ndarray, shape (n,)
+            Identities of particles named in the frame.
+        before : ndarray, shape (n, K, 2)
+            Their positions in the K frames before [px].
         """
         self.frames += 1
         self._kinds.update(zip(poses.id.tolist(), poses.kind.tolist(), strict=True))
@@ -87,13 +109,27 @@ class Remarks:
         self._count: Counter[str] = Counter()
 
     def add(self, frame: int, said: Mapping[str, str]) -> None:
-        """Add the sentences `said` about a `frame`: kind → sentence."""
+        """Add the sentences `said` about a `frame`: kind → sentence.
+
+        Parameters
+        ----------
+        frame : int
+            Number of the frame.
+        said : mapping of str to str
+            Sentence by kind.
+        """
         for kind, sentence in said.items():
             self._first.setdefault(kind, (frame, sentence))
             self._count[kind] += 1
 
     def sentences(self) -> list[str]:
-        """Return one sentence per kind, and one for all particles of which the same is said."""
+        """Return one sentence per kind, and one for all particles of which the same is said.
+
+        Returns
+        -------
+        list of str
+            The sentences.
+        """
         first, counts = list(self._first.values()), [self._count[kind] for kind in self._first]
         told = []
         for sentence, places in together(sentence for _, sentence in first).items():

@@ -19,6 +19,19 @@ def write_settings_figure(
     """Save a figure to `path`: `image`, what was `found`, learned picture, profile, settings.
 
     `appearance` holds the learned picture, `settings` the settings.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    image : ndarray, shape (H, W)
+        The picture.
+    found : Detections
+        The detections.
+    appearance : Appearance
+        The learned picture.
+    settings : TrackerSettings
+        Settings of the tracker.
     """
     from matplotlib.figure import Figure
 

@@ -25,6 +25,11 @@ class FrameError(InputError):
     """A frame that cannot be used: wrong size, encoding or time. The tracker is unchanged.
 
     `expected` says what would have been right.
+
+    Parameters
+    ----------
+    expected : str
+        What would have been right.
     """
 
     def __init__(self, expected: str) -> None:
@@ -85,6 +90,13 @@ class Tracker:
     Without an `appearance` one is learned from the first frames in which something stands out, a
     portion with each further frame; until then `ready` is False and there are no poses. OpenCV is
     limited to one thread, since the tracker shares its machine with the rest of the loop.
+
+    Parameters
+    ----------
+    settings : TrackerSettings
+        Settings of the tracker.
+    appearance : Appearance or None
+        The learned picture; None to learn it.
     """
 
     def __init__(
@@ -126,6 +138,11 @@ class Tracker:
         """Continue with other `settings`; particles that are found again keep their identities.
 
         Particles of a removed kind are dropped.
+
+        Parameters
+        ----------
+        settings : TrackerSettings
+            Settings of the tracker.
         """
         if self._follower is not None:
             names = [kind.name for kind in settings.kinds]
@@ -152,6 +169,20 @@ class Tracker:
         learned. Raises FrameError, without any change, for a frame of another kind than the first
         or a time that is not later. If the clock was set back for good, the next frame continues
         from there, identities kept.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        t : float
+            Time of the frame [s].
+        drive : ndarray, shape (2,), or None
+            Integrated drive in image axes; None for none.
+
+        Returns
+        -------
+        Poses
+            The poses.
         """
         self._check(image, drive)
         image = np.ascontiguousarray(image)  # a view would compile everything again
@@ -238,7 +269,20 @@ class _Follower:
 def make_detector(
     appearance: Appearance, settings: TrackerSettings
 ) -> RoundDetector | OutlineDetector | KindsDetector:
-    """Return the detector for the `appearance`, or for the kinds in the `settings`."""
+    """Return the detector for the `appearance`, or for the kinds in the `settings`.
+
+    Parameters
+    ----------
+    appearance : Appearance
+        The learned picture.
+    settings : TrackerSettings
+        Settings of the tracker.
+
+    Returns
+    -------
+    RoundDetector or OutlineDetector or KindsDetector
+        The detector.
+    """
     if settings.kinds:
         return KindsDetector(settings.kinds, settings.standing)
     kind = RoundDetector if appearance.round else OutlineDetector

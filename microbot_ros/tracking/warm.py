@@ -19,6 +19,11 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
 
     Compiled code is cached on disk, so that this takes some ten seconds once and a fraction of a
     second afterwards. Call it before frames arrive.
+
+    Parameters
+    ----------
+    dtype : type[uint8] or type[uint16]
+        Type of the pixels.
     """
     # Needed when two particles compete for a detection; loading them would delay that frame.
     import scipy.optimize

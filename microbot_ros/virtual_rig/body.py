@@ -78,6 +78,11 @@ def bodies(
     gain : (N,) array or float [m/s/Hz]
         Of a roller.
     heading : (N,) array or float [rad]
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        BODY of each particle.
     """
     radius = np.asarray(radius, dtype=float)
     result = np.empty(len(radius), BODY)

@@ -34,6 +34,13 @@ class LoopFeedback:
 
     `noise` [m] is the standard deviation of each coordinate given to the loop. The amplifier is
     ideal: it reads back the command at once.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop.
+    noise : float
+        Standard deviation of each coordinate [m].
     """
 
     def __init__(self, loop: Loop, noise: float) -> None:
@@ -51,6 +58,18 @@ def make_feedback(scenario: Scenario, source: str) -> LoopFeedback:
     """Return the loop with the `controller` of a `scenario`.
 
     Raises InputError naming `source` if that is impossible.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    source : str
+        Name of the scenario, for messages.
+
+    Returns
+    -------
+    LoopFeedback
+        The loop.
     """
     return LoopFeedback(_make_loop(scenario, source), scenario.camera.localisation_um * 1e-6)
 
@@ -60,6 +79,20 @@ def film(scenario: Scenario, world: World, source: str) -> Session:
 
     The session holds the tracks of the loop's tracker. Raises InputError naming `source` if the
     loop is impossible.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    world : World
+        The world.
+    source : str
+        Name of the scenario, for messages.
+
+    Returns
+    -------
+    Session
+        The session.
     """
     loop = _armed(_make_loop(scenario, source))
     view = MicroscopeSettings(radius_um=scenario.radius_um)
@@ -77,7 +110,15 @@ def film(scenario: Scenario, world: World, source: str) -> Session:
 
 
 def tell_fault(loop: Loop, source: str) -> None:
-    """Log a warning if the gate of `loop` cut the currents in the scenario `source`."""
+    """Log a warning if the gate of `loop` cut the currents in the scenario `source`.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop.
+    source : str
+        Name of the scenario, for messages.
+    """
     if fault := loop.gate.fault:
         _log.warning('%s: the gate cut the currents, %s: %s', source, fault.reason.value,
                      fault.detail)

@@ -25,6 +25,11 @@ def coil_gradients() -> np.ndarray:
     The first axis is the pair of coils on the x axis, driven for a field along x, and the coil at
     +x alone; then position x and y, K each about the centre, `SPACING` apart; last ∂Bx/∂x, ∂Bx/∂y
     = ∂By/∂x and ∂By/∂y.
+
+    Returns
+    -------
+    ndarray, shape (2, K, K, 3)
+        Gradients over the field [1/m].
     """
     line = SPACING * np.arange(-_REACH, _REACH + 1)
     places = np.stack(np.meshgrid(line, line, indexing='ij'), axis=-1)
@@ -36,13 +41,24 @@ def pull_of_pair() -> float:
     """Return B''/2B [1/m²] at the centre, on the axis of a pair of coils.
 
     Times a moment over drag [m²/(T s)] it is the rate of a `gradient_force`.
+
+    Returns
+    -------
+    float
+        B''/2B [1/m²].
     """
     return float(_along_x(np.array([[_NEAR, 0.0]]))[0, 0, 0] / (2 * _NEAR))
 
 
 @cache
 def pull_of_coil() -> float:
-    """Return B'/B [1/m] at the centre, towards the only driven coil, for `coil_pull`."""
+    """Return B'/B [1/m] at the centre, towards the only driven coil, for `coil_pull`.
+
+    Returns
+    -------
+    float
+        B'/B [1/m].
+    """
     return float(_along_x(np.zeros((1, 2)))[1, 0, 0])
 
 

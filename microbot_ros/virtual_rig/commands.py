@@ -33,6 +33,11 @@ def steps(
     centre, spread : float [rad]
     frequency : float or sequence, optional [Hz]
         For rollers, as `field`.
+
+    Returns
+    -------
+    Commands
+        The commands.
     """
     most = math.ceil(duration / dwell[0])
     begin = np.concatenate(([0.0], np.cumsum(rng.uniform(*dwell, most))))
@@ -48,6 +53,20 @@ def rotating(duration: float, field: float, period: float) -> Commands:
     """Return a `field` [T] that turns anticlockwise once per `period` [s] for `duration` [s].
 
     It is set 20 times a second.
+
+    Parameters
+    ----------
+    duration : float
+        Duration [s].
+    field : float
+        Strength of the field [T].
+    period : float
+        Time of a turn [s].
+
+    Returns
+    -------
+    Commands
+        The commands.
     """
     begin = np.arange(0.0, duration, 1 / ROTATING_HZ)
     return Commands(begin, field * unit(2 * math.pi * begin / period))
@@ -59,6 +78,15 @@ class Herding:
     It uses the noisy positions of the camera, so that command and noise are correlated as in any
     closed loop. `phi` (N,) [rad] are the assumed offsets of the particles; the strength of the
     `field` [T] is constant; it stays with one particle for `patience` [s].
+
+    Parameters
+    ----------
+    phi : ndarray, shape (N,)
+        Offsets of the particles [rad].
+    field : float
+        Strength of the field [T].
+    patience : float
+        Time [s] for which it stays with a particle.
     """
 
     def __init__(self, phi: np.ndarray, field: float, patience: float = 2.0) -> None:

@@ -28,13 +28,43 @@ def _deadband(value: float, width: float) -> float:
 
 @numba.njit(cache=True)
 def coil_fields(body: Any, x: float, y: float) -> Pair:
-    """Return the fields [T] of the coils of each axis at a `body` for a command `x`, `y` [T]."""
+    """Return the fields [T] of the coils of each axis at a `body` for a command `x`, `y` [T].
+
+    Parameters
+    ----------
+    body : object
+        The particle, of type BODY.
+    x : float
+        Component of the command along x [T].
+    y : float
+        Component of the command along y [T].
+
+    Returns
+    -------
+    Pair
+        Fields [T].
+    """
     return _deadband(x, body.deadband), body.gain_y * _deadband(y, body.deadband)
 
 
 @numba.njit(cache=True)
 def felt_field(body: Any, x: float, y: float) -> Pair:
-    """Return the field [T] at a `body` from the fields `x`, `y` [T] of the coils of each axis."""
+    """Return the field [T] at a `body` from the fields `x`, `y` [T] of the coils of each axis.
+
+    Parameters
+    ----------
+    body : object
+        The particle, of type BODY.
+    x : float
+        Field of the coils of the x axis [T].
+    y : float
+        Field of the coils of the y axis [T].
+
+    Returns
+    -------
+    Pair
+        Field [T].
+    """
     return (
         x + math.sin(body.skew) * y + body.background_x,
         math.cos(body.skew) * y + body.background_y,
@@ -54,6 +84,18 @@ def roll_frequency(body: Any, frequency: float) -> float:
     Below cut-in the surface holds it, above it rolls at √(f² − cut_in²); beyond step-out it slips
     and keeps f − √(f² − step_out²) (averaged Adler equation, for either barrier alone). If the
     `body` has a steepness, empirical curves apply.
+
+    Parameters
+    ----------
+    body : object
+        The particle, of type BODY.
+    frequency : float
+        Frequency of the field [Hz].
+
+    Returns
+    -------
+    float
+        Frequency [Hz].
     """
     drive = abs(frequency)
     if drive == 0:
@@ -73,6 +115,20 @@ def own_speed(body: Any, frequency: float, t: float) -> float:
     """Return the speed [m/s] of a body along its heading at `t` [s], by fuel or by rolling.
 
     Slowing by neighbours is not included. `frequency` [Hz] is that of the field.
+
+    Parameters
+    ----------
+    body : object
+        The particle, of type BODY.
+    frequency : float
+        Frequency of the field [Hz].
+    t : float
+        Time [s].
+
+    Returns
+    -------
+    float
+        Speed [m/s].
     """
     speed = body.speed * body.fuel + body.gain * roll_frequency(body, frequency)
     speed *= 1 + body.pulse_depth * math.sin(2 * math.pi * body.pulse_frequency * t)
@@ -86,6 +142,20 @@ def tilt(body: Any, strength: float, rng: np.random.Generator) -> Pair:
 
     The angle of the axis from the field of `strength` |B| [T] has the density exp(κ cos ϑ) on the
     sphere, κ = |B|/b₀.
+
+    Parameters
+    ----------
+    body : object
+        The particle, of type BODY.
+    strength : float
+        Magnitude of the field [T].
+    rng : random.Generator
+        Source of random numbers.
+
+    Returns
+    -------
+    Pair
+        Components of the unit vector.
     """
     if body.field_scale == 0:
         return 1.0, 0.0
@@ -100,7 +170,20 @@ def tilt(body: Any, strength: float, rng: np.random.Generator) -> Pair:
 
 @numba.njit(cache=True)
 def flow(body: Any, t: float) -> tuple[float, float, float]:
-    """Return velocity [m/s] and rotation [rad/s] (half the vorticity) at a `body` at `t` [s]."""
+    """Return velocity [m/s] and rotation [rad/s] (half the vorticity) at a `body` at `t` [s].
+
+    Parameters
+    ----------
+    body : object
+        The particle, of type BODY.
+    t : float
+        Time [s].
+
+    Returns
+    -------
+    tuple[float, float, float]
+        Velocity along x and y [m/s], and rotation [rad/s].
+    """
     sway = body.sway_speed * math.cos(2 * math.pi * body.sway_frequency * t + body.sway_phase)
     profile = (body.y / body.channel_half_width) ** 2
     settling = math.exp(-t / body.settling_time)
@@ -118,7 +201,18 @@ def flow(body: Any, t: float) -> tuple[float, float, float]:
 
 @numba.njit(cache=True)
 def place_force(body: Any) -> Pair:
-    """Return the velocity [m/s] of a body by position-dependent forces: hot spot, trap."""
+    """Return the velocity [m/s] of a body by position-dependent forces: hot spot, trap.
+
+    Parameters
+    ----------
+    body : object
+        The particle, of type BODY.
+
+    Returns
+    -------
+    Pair
+        Velocity [m/s].
+    """
     x, y = body.x - body.spot_x, body.y - body.spot_y
     squared = (x**2 + y**2) / body.spot_width**2
     spot = body.spot_speed / body.spot_width * math.exp((1 - squared) / 2)
@@ -142,6 +236,20 @@ def gradient_at(table: np.ndarray, x: float, y: float) -> tuple[float, float, fl
     """Interpolate the gradient at `x`, `y` [m] bilinearly in a `table` of `coil_gradients`.
 
     Beyond the table, that at its edge.
+
+    Parameters
+    ----------
+    table : ndarray
+        Part of `coil_gradients`.
+    x : float
+        Coordinate [m].
+    y : float
+        Coordinate [m].
+
+    Returns
+    -------
+    tuple[float, float, float]
+        ∂Bx/∂x, ∂Bx/∂y and ∂By/∂y over the field [1/m].
     """
     i, x = _between(x, len(table) - 1)
     j, y = _between(y, len(table) - 1)
@@ -159,6 +267,28 @@ def coil_force(
 
     `mx`, `my` [A m²] is the moment, at `x`, `y` [m]; `bx`, `by` [T] the field at the centre,
     `table` a part of `coil_gradients`.
+
+    Parameters
+    ----------
+    table : ndarray
+        Part of `coil_gradients`.
+    bx : float
+        Field at the centre along x [T].
+    by : float
+        Field at the centre along y [T].
+    x : float
+        Coordinate [m].
+    y : float
+        Coordinate [m].
+    mx : float
+        Moment along x [A m²].
+    my : float
+        Moment along y [A m²].
+
+    Returns
+    -------
+    Pair
+        Force [N].
     """
     strength = math.sqrt(bx**2 + by**2)
     if strength == 0:
@@ -177,6 +307,22 @@ def magnetic_velocity(body: Any, x: float, y: float, coils: np.ndarray) -> Pair:
     `x`, `y` [T] is the field of the coils of each axis at the centre: of a pair of coils each, or
     of one coil in the direction of that field. The moments of the body lie φ behind its heading,
     along the field that turns it.
+
+    Parameters
+    ----------
+    body : object
+        The particle, of type BODY.
+    x : float
+        Field of the coils of the x axis [T].
+    y : float
+        Field of the coils of the y axis [T].
+    coils : ndarray
+        Result of `coil_gradients`.
+
+    Returns
+    -------
+    Pair
+        Velocity [m/s].
     """
     if body.pair_moment == 0 and body.coil_moment == 0:
         return 0.0, 0.0
@@ -198,6 +344,24 @@ def dipole_velocity(body: Any, other: Any, x: float, y: float, r: float) -> Pair
 
     The force between point dipoles, 3µ₀m₁m₂/4πr⁴ [(m̂₁·r̂)m̂₂ + (m̂₂·r̂)m̂₁ + (m̂₁·m̂₂)r̂ −
     5(m̂₁·r̂)(m̂₂·r̂)r̂] (Jackson), over the drag: `dipole` is 3µ₀m²/4π over 6πηr [m⁵/s].
+
+    Parameters
+    ----------
+    body : object
+        The particle, of type BODY.
+    other : object
+        The other particle, of type BODY.
+    x : float
+        Direction to it along x.
+    y : float
+        Direction to it along y.
+    r : float
+        Distance [m].
+
+    Returns
+    -------
+    Pair
+        Velocity [m/s].
     """
     mine, others = body.heading - body.phi, other.heading - other.phi
     ax, ay, bx, by = math.cos(mine), math.sin(mine), math.cos(others), math.sin(others)
@@ -209,7 +373,20 @@ def dipole_velocity(body: Any, other: Any, x: float, y: float, r: float) -> Pair
 
 @numba.njit(cache=True)
 def neighbours(bodies: np.ndarray, i: int) -> tuple[float, float, float]:
-    """Return the velocity [m/s] of body `i` by all other `bodies`, and the factor on its speed."""
+    """Return the velocity [m/s] of body `i` by all other `bodies`, and the factor on its speed.
+
+    Parameters
+    ----------
+    bodies : ndarray, shape (N,)
+        BODY of each particle.
+    i : int
+        Row of the particle.
+
+    Returns
+    -------
+    tuple[float, float, float]
+        Velocity along x and y [m/s], and the factor.
+    """
     body, u, v, slowing = bodies[i], 0.0, 0.0, 0.0
     for j in range(len(bodies)):
         if j == i:
@@ -243,6 +420,23 @@ def rotate(body: Any, bx: float, by: float, vorticity: float, t: float, dt: floa
 
     Causes are torque against drag, fluid, chirality and noise. Field `bx`, `by` [T]; `vorticity`,
     the rotation of the fluid [rad/s]; `normal`, a standard normal number.
+
+    Parameters
+    ----------
+    body : object
+        The particle, of type BODY.
+    bx : float
+        Field along x [T].
+    by : float
+        Field along y [T].
+    vorticity : float
+        Rotation of the fluid [rad/s].
+    t : float
+        Time [s].
+    dt : float
+        Duration [s].
+    normal : float
+        A standard normal number.
     """
     body.phi += body.slip_rate * dt
     wobble = body.wobble_angle * math.sin(2 * math.pi * body.wobble_frequency * t)

@@ -36,6 +36,13 @@ def check_effect(effect: str, parameters: Mapping[str, float | Sequence[float]])
 
     Unlike `injected_effects.check` it also knows effects of other packages, with one number for
     each of their `parameters`.
+
+    Parameters
+    ----------
+    effect : str
+        Id of the effect.
+    parameters : mapping of str to float or sequence of float
+        Values by name.
     """
     if effect in INJECTABLE:
         check(effect, parameters)
@@ -47,7 +54,18 @@ def check_effect(effect: str, parameters: Mapping[str, float | Sequence[float]])
 
 
 def foreign_effects(effects: Given) -> tuple[Effect, ...]:
-    """Return those `effects` that the physics does not know; ValueError if impossible."""
+    """Return those `effects` that the physics does not know; ValueError if impossible.
+
+    Parameters
+    ----------
+    effects : Given
+        Parameters by effect.
+
+    Returns
+    -------
+    tuple of Effect
+        The effects.
+    """
     return read_effects(
         {name: values for name, values in effects.items() if name not in INJECTABLE})
 
@@ -62,6 +80,28 @@ def make_world(
     `bodies`, `rng`, `half_extent` and `walls` as in `World`. `effects` that the physics knows are
     in the bodies already (`inject_effect`); the others and terms that were `learned` are added.
     Alignment is stated at `reference_field` [T]. Raises ValueError as `check_effect`.
+
+    Parameters
+    ----------
+    bodies : ndarray, shape (N,)
+        BODY of each particle.
+    rng : random.Generator
+        Source of random numbers.
+    effects : Given
+        Parameters by effect.
+    reference_field : float
+        Field [T] at which alignment is stated.
+    learned : sequence of LearnedTerm
+        Learned terms.
+    half_extent : tuple[float, float]
+        Half of the sides of the workspace [m].
+    walls : ArrayLike
+        Ends of the walls [m].
+
+    Returns
+    -------
+    World
+        The world.
     """
     foreign = foreign_effects(effects)
     if not (foreign or learned):
@@ -77,6 +117,19 @@ class ForeignWorld(World):
     command, before the amplifier and the coils of the bodies; the others see the field at each
     body. `drift` adds to the flow, `speed_factor` multiplies speed and gain, `heading_offset` adds
     to φ, `alignment_rate` replaces that of the moment; `observe` follows the camera's own.
+
+    Parameters
+    ----------
+    bodies : ndarray, shape (N,)
+        BODY of each particle.
+    rng : random.Generator
+        Source of random numbers.
+    half_extent : tuple[float, float]
+        Half of the sides of the workspace [m].
+    model : Model
+        The model.
+    walls : ArrayLike
+        Ends of the walls [m].
     """
 
     def __init__(self, bodies: np.ndarray, rng: np.random.Generator,

@@ -69,7 +69,15 @@ _POSITIVE = {
 
 
 def check(effect: str, parameters: Mapping[str, float | Sequence[float]]) -> None:
-    """Raise ValueError for an unknown `effect`, or impossible `parameters`."""
+    """Raise ValueError for an unknown `effect`, or impossible `parameters`.
+
+    Parameters
+    ----------
+    effect : str
+        Id of the effect.
+    parameters : mapping of str to float or sequence of float
+        Values by name.
+    """
     if effect not in INJECTABLE:
         raise ValueError(f"unknown effect '{effect}'; expected one of: {', '.join(INJECTABLE)}")
     known = INJECTABLE[effect]

@@ -52,6 +52,13 @@ class Microscope:
 
     The workspace origin lies at the picture's centre ((W − 1)/2, (H − 1)/2); the centre of the
     first pixel is (0, 0); y points up in the workspace and down in the picture.
+
+    Parameters
+    ----------
+    settings : MicroscopeSettings
+        Settings of the microscope.
+    seed : int
+        Seed of debris and noise.
     """
 
     def __init__(self, settings: MicroscopeSettings, seed: int) -> None:
@@ -66,13 +73,37 @@ class Microscope:
             settings.drift_um_s / settings.pixel_size_um / math.sqrt(2))
 
     def pixels(self, position: np.ndarray) -> np.ndarray:
-        """Return the pixel coordinates (..., 2) of a `position` (..., 2) [m]."""
+        """Return the pixel coordinates (..., 2) of a `position` (..., 2) [m].
+
+        Parameters
+        ----------
+        position : ndarray, shape (..., 2)
+            Positions [m].
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Pixel coordinates.
+        """
         s = self.settings
         centre = np.array([(s.width_px - 1) / 2, (s.height_px - 1) / 2])
         return centre + np.asarray(position) * np.array([1, -1]) / s.pixel_size
 
     def defocus(self, count: int, t: float) -> np.ndarray:
-        """Return the defocus (`count`,) of particles at `t` [s], within ±1."""
+        """Return the defocus (`count`,) of particles at `t` [s], within ±1.
+
+        Parameters
+        ----------
+        count : int
+            Number of particles N.
+        t : float
+            Time [s].
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Defocus.
+        """
         phase = 2 * np.pi * (t / self.settings.focus_period_s + _GOLDEN * np.arange(count))
         return 0.6 * np.sin(phase) + 0.4 * np.sin(1.618 * phase)
 
@@ -81,6 +112,20 @@ class Microscope:
 
         `position` (N, 2) [m], `theta` (N,) heading [rad], `t` [s]. Particles out of view or not
         finite are not drawn.
+
+        Parameters
+        ----------
+        position : ndarray, shape (N, 2)
+            Positions [m].
+        theta : ndarray, shape (N,)
+            Headings [rad].
+        t : float
+            Time [s].
+
+        Returns
+        -------
+        ndarray, shape (H, W)
+            Light, float32 [grey levels].
         """
         from microbot_ros.virtual_rig.optics import draw_smudge, draw_sphere
 
@@ -105,6 +150,20 @@ class Microscope:
 
         `theta` (N,) are headings [rad], see `expose`; shot and read noise differ from call to
         call.
+
+        Parameters
+        ----------
+        position : ndarray, shape (N, 2)
+            Positions [m].
+        theta : ndarray, shape (N,)
+            Headings [rad].
+        t : float
+            Time [s].
+
+        Returns
+        -------
+        ndarray, shape (H, W)
+            Frame, uint8.
         """
         from microbot_ros.virtual_rig.optics import count_electrons
 

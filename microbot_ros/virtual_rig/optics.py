@@ -19,6 +19,19 @@ def draw_smudge(light: ndarray, x: float, y: float, width: float, depth: float) 
     """Multiply `light` (H, W) by a dark Gaussian spot at (`x`, `y`), std `width` [px].
 
     In its middle it absorbs the fraction `depth`.
+
+    Parameters
+    ----------
+    light : ndarray, shape (H, W)
+        Light, changed in place.
+    x : float
+        Column of the centre [px].
+    y : float
+        Row of the centre [px].
+    width : float
+        Standard deviation of the spot [px].
+    depth : float
+        Fraction that is absorbed in the middle.
     """
     top, bottom = _window(y, 4 * width, light.shape[0])
     left, right = _window(x, 4 * width, light.shape[1])
@@ -83,6 +96,21 @@ def count_electrons(light: ndarray, noise: ndarray, starts: ndarray, shot: float
     """Fill `frame` (H, W) uint8 with `light` and noise of variance light·`shot` + `read_variance`.
 
     Each row takes its normal deviates from `noise` (M,) at its entry of `starts` (H,).
+
+    Parameters
+    ----------
+    light : ndarray, shape (H, W)
+        Light [grey levels].
+    noise : ndarray, shape (M,)
+        Normal deviates.
+    starts : ndarray, shape (H,)
+        First deviate of each row.
+    shot : float
+        Variance per grey level.
+    read_variance : float
+        Variance without light.
+    frame : ndarray, shape (H, W)
+        Uint8, filled in place.
     """
     for i in range(light.shape[0]):
         deviates = noise[starts[i]:starts[i] + light.shape[1]]

@@ -108,6 +108,20 @@ def picture(bodies: np.ndarray, position: np.ndarray, t: float | np.ndarray) -> 
     """Distort a true `position` (..., N, 2) [m] as pixels and stage do.
 
     `bodies` (..., N) are of type BODY; `t` [s].
+
+    Parameters
+    ----------
+    bodies : ndarray, shape (..., N)
+        BODY of each particle.
+    position : ndarray, shape (..., N, 2)
+        True positions [m].
+    t : float or ndarray
+        Time [s].
+
+    Returns
+    -------
+    ndarray, shape (..., N, 2)
+        Positions in the picture [m].
     """
     seen = position.copy()
     seen[..., 1] *= bodies['aspect']
@@ -124,6 +138,22 @@ def detection_errors(
     """Return errors (`frames`, N, 2) [m] of `count` = N particles of a `camera`, drawn by `rng`.
 
     NaN if missed. Misses of a particle are a two-state Markov chain; a dropped frame misses all.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    frames : int
+        Number of frames.
+    count : int
+        Number of particles N.
+    rng : random.Generator
+        Source of random numbers.
+
+    Returns
+    -------
+    ndarray, shape (frames, N, 2)
+        Errors [m].
     """
     visible = np.ones((frames, count), dtype=bool)
     if camera.missed > 0:
@@ -139,7 +169,20 @@ def detection_errors(
 
 
 def as_tracks(t: np.ndarray, seen: np.ndarray) -> Tracks:
-    """Return tracks of positions `seen` (T, N, 2) [m] at times `t` (T,) [s]; NaN gives no row."""
+    """Return tracks of positions `seen` (T, N, 2) [m] at times `t` (T,) [s]; NaN gives no row.
+
+    Parameters
+    ----------
+    t : ndarray, shape (T,)
+        Times [s].
+    seen : ndarray, shape (T, N, 2)
+        Positions [m].
+
+    Returns
+    -------
+    Tracks
+        The tracks.
+    """
     frame, particle = np.nonzero(np.isfinite(seen[..., 0]))
     unknown = np.full(len(frame), np.nan)
     return Tracks(t[frame], particle, seen[frame, particle], unknown, unknown.copy())
@@ -151,6 +194,22 @@ def scatter(
     """Draw places (`count`, 2) [m] evenly within ± `half_extent`, none closer than `spacing` [m].
 
     Raises ValueError if a hundred draws (by `rng`) per particle do not suffice.
+
+    Parameters
+    ----------
+    rng : random.Generator
+        Source of random numbers.
+    count : int
+        Number of particles N.
+    half_extent : float
+        Half of the side of the square [m].
+    spacing : float
+        Least distance [m].
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+        Places [m].
     """
     places = np.empty((0, 2))
     for _ in range(100 * count):
@@ -182,6 +241,11 @@ def draw_swarm(
         As in `scatter`.
     aligns_in : float
         Alignment time at the reference field [s].
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        BODY of each particle.
     """
     radii = np.full(count, radius)
     return bodies(

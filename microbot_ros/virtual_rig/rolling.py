@@ -25,6 +25,11 @@ class Rolling:
     """Converts the field of the coils into rows that move a `World` of rollers.
 
     `mobility` γ [rad/(s T)] is one value or (N,). The clock begins at 0 s.
+
+    Parameters
+    ----------
+    mobility : ArrayLike
+        Mobility γ [rad/(s T)], one value or (N,).
     """
 
     def __init__(self, mobility: ArrayLike) -> None:
@@ -37,7 +42,17 @@ class Rolling:
             np.array([-math.inf]), np.zeros((1, count, 2)), np.zeros((1, count)))
 
     def take(self, t: np.ndarray, field: np.ndarray, until: float) -> None:
-        """Advance to `until` [s] in a `field` (K, 3) [T]; each row holds from `t` (K,) [s] on."""
+        """Advance to `until` [s] in a `field` (K, 3) [T]; each row holds from `t` (K,) [s] on.
+
+        Parameters
+        ----------
+        t : ndarray, shape (K,)
+            Times [s].
+        field : ndarray, shape (K, 3)
+            Fields [T].
+        until : float
+            Time at which to end [s].
+        """
         begin = np.clip(t, self._t, max(until, self._t))
         length = np.diff(begin, append=max(until, self._t))
         count = np.ceil(length / _LONGEST_S).astype(int)
@@ -55,6 +70,16 @@ class Rolling:
         """Return frequency and direction of each roller in the rows from `since` [s] on.
 
         Earlier rows are forgotten.
+
+        Parameters
+        ----------
+        since : float
+            Time [s].
+
+        Returns
+        -------
+        FieldHistory
+            The rows.
         """
         rows = self._rows
         assert rows.frequency is not None
@@ -100,6 +125,22 @@ def turn_moment(moment: np.ndarray, field: np.ndarray, mobility: float, length: 
 
     Returns the rotation vector (3,) [rad]. With the `mobility` γ [rad/(s T)], dδ/dt = −γ|B| sin δ
     has the solution tan δ/2 ∝ exp(−γ|B|t). A moment exactly against the field stays.
+
+    Parameters
+    ----------
+    moment : ndarray, shape (3,)
+        Unit vector, turned in place.
+    field : ndarray, shape (3,)
+        Field [T].
+    mobility : float
+        Mobility γ [rad/(s T)].
+    length : float
+        Duration [s].
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Rotation vector [rad].
     """
     strength = math.sqrt(field[0] ** 2 + field[1] ** 2 + field[2] ** 2)
     angle = np.zeros(3)

@@ -54,7 +54,13 @@ class CameraSettings(Settings):
         return self
 
     def camera(self) -> Camera:
-        """Return the camera in SI."""
+        """Return the camera in SI.
+
+        Returns
+        -------
+        Camera
+            The camera.
+        """
         noise = self.localisation_um * 1e-6
         return Camera(
             self.frame_rate_hz, self.exposure, noise, self.missed, self.run, self.dropped)
@@ -137,6 +143,20 @@ class CommandSettings(Settings):
         """Return the commands for `duration` [s], or the feedback that decides them, in SI.
 
         `phi` (N,) [rad] are the offsets of the particles; `rng` draws random commands.
+
+        Parameters
+        ----------
+        duration : float
+            Duration [s].
+        phi : ndarray, shape (N,)
+            Offsets of the particles [rad].
+        rng : random.Generator
+            Source of random numbers.
+
+        Returns
+        -------
+        Commands or Feedback
+            Commands or feedback.
         """
         if self.steps:
             s = self.steps
@@ -314,6 +334,16 @@ def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
     """Read a scenario and its particles from `path`, with the effects of its `model` included.
 
     Raises InputError naming file, line, key and what was expected.
+
+    Parameters
+    ----------
+    path : Path
+        File to read or write.
+
+    Returns
+    -------
+    tuple[Scenario, ParticleParameters]
+        The scenario and its particles.
     """
     scenario = read_yaml(path, Scenario)
     particles = scenario.listed

@@ -34,7 +34,22 @@ POLYSTYRENE = 984.0
 
 
 def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Session:
-    """Simulate a `scenario` with `particles`; InputError naming `source` if impossible."""
+    """Simulate a `scenario` with `particles`; InputError naming `source` if impossible.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    particles : ParticleParameters
+        The particles.
+    source : str
+        Name of the scenario, for messages.
+
+    Returns
+    -------
+    Session
+        The session.
+    """
     rng = np.random.default_rng(scenario.seed)
     count = len(particles.ids)
     start = starting_places(scenario, count, rng, source)
@@ -61,7 +76,22 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
 
 
 def strays(scenario: Scenario, particles: ParticleParameters, session: Session) -> list[str]:
-    """Return sentences on how much of a `session` was outside the range of learned terms."""
+    """Return sentences on how much of a `session` was outside the range of learned terms.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    particles : ParticleParameters
+        The particles.
+    session : Session
+        The session.
+
+    Returns
+    -------
+    list of str
+        The sentences.
+    """
     if not scenario.learned:
         return []
     model = Model(scenario.reference_field, scenario.propulsion, learned=scenario.learned)
@@ -81,6 +111,22 @@ def starting_places(
     """Return initial positions (`count`, 2) [m] of a `scenario`: as listed, else drawn by `rng`.
 
     Raises InputError naming `source` if so many do not fit.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    count : int
+        Number of particles N.
+    rng : random.Generator
+        Source of random numbers.
+    source : str
+        Name of the scenario, for messages.
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+        Positions [m].
     """
     if scenario.particles:
         return np.array([(p.x_um, p.y_um) for p in scenario.particles]) * 1e-6
@@ -96,6 +142,22 @@ def make_bodies(
     """Return the `particles` (N) of a `scenario`, of type BODY, with its effects on bodies.
 
     They start at `start` (N, 2) [m] with the `heading` (N,) [rad].
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    particles : ParticleParameters
+        The N particles.
+    start : ndarray, shape (N, 2)
+        Positions [m].
+    heading : ndarray, shape (N,)
+        Headings [rad].
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        BODY of each particle.
     """
     radius = np.full(len(start), scenario.radius)
     made = bodies(

@@ -45,7 +45,18 @@ class FieldHistory:
 
     @classmethod
     def uniform(cls, commands: Commands) -> FieldHistory:
-        """Return a field of `commands` that is equal everywhere."""
+        """Return a field of `commands` that is equal everywhere.
+
+        Parameters
+        ----------
+        commands : Commands
+            The commands.
+
+        Returns
+        -------
+        FieldHistory
+            The history.
+        """
         return cls(commands.t, commands.field[:, None, :], commands.frequency)
 
 
@@ -95,6 +106,18 @@ class World:
         The mean is what a camera with an open shutter sees. Steps are at most 1 ms; each uses the
         row of the `history` in force at its middle, `delay` earlier for a particle that has one:
         keep rows that old. A time not after the present returns the present positions.
+
+        Parameters
+        ----------
+        until : float
+            Time at which to end [s].
+        history : FieldHistory
+            The field.
+
+        Returns
+        -------
+        ndarray, shape (N, 2)
+            Mean positions [m].
         """
         if until <= self.t:
             return self.position
@@ -110,5 +133,16 @@ class World:
         return mean
 
     def observe(self, position: np.ndarray) -> np.ndarray:
-        """Return positions (N, 2) [m] as the camera shows them, beyond effects in the bodies."""
+        """Return positions (N, 2) [m] as the camera shows them, beyond effects in the bodies.
+
+        Parameters
+        ----------
+        position : ndarray, shape (N, 2)
+            Positions [m].
+
+        Returns
+        -------
+        ndarray, shape (N, 2)
+            Observed positions [m].
+        """
         return position

@@ -165,3 +165,29 @@ def test_an_output_that_was_written_late_was_followed_until_then():
     assert gate.fault is None
     gate.measured(CURRENTS[0], 0.71)
     assert gate.fault.reason is Reason.UNCOMMANDED
+
+
+def test_a_first_output_that_was_written_late_left_the_coils_at_zero_until_then():
+    gate = Gate(LIMITS)
+    gate.measured(ZERO, 0.0)
+    assert gate.arm(0.0) is None
+    gate.command(CURRENTS[0], 0.01)
+    gate.sent(0.4)
+    gate.measured(ZERO, 0.41)
+    assert gate.fault is None
+    gate.measured(ZERO, 0.71)
+    assert gate.fault.reason is Reason.DEVIATION
+
+
+def test_an_output_that_was_written_late_prolongs_none_that_was_replaced_before():
+    gate = Gate(replace(LIMITS, command_timeout_s=1.0))
+    gate.measured(ZERO, 0.0)
+    assert gate.arm(0.0) is None
+    gate.command(CURRENTS[0], 0.01)
+    gate.sent(0.01)
+    gate.measured(CURRENTS[0], 0.17)
+    gate.command(CURRENTS[1], 0.18)
+    gate.sent(0.2)
+    gate.measured(ZERO, 0.25)  # too old to be a measurement of the present
+    gate.tick(0.4)
+    assert gate.fault.reason is Reason.SILENCE

@@ -313,6 +313,27 @@ def test_a_line_that_is_lost_says_so(device):
     assert amplifier.unreachable == (device.url,)
 
 
+def test_a_connection_that_failed_at_its_first_message_sends_zeros_all_the_same(device):
+    amplifier = device.amplifier()
+    open_port = amplifier.open_port
+
+    def open_port_that_fails_once(*arguments, **options):
+        port = open_port(*arguments, **options)
+        send = port.send
+
+        def fail(_):
+            port.send = send
+            raise PortLostError(port.url, 'it takes no bytes')
+
+        port.send = fail
+        return port
+
+    amplifier.open_port = open_port_that_fails_once
+    with pytest.raises(PortLostError):
+        amplifier.connect()
+    assert any(ZEROS in data for _, data in device.lines[0].sent)
+
+
 @pytest.mark.parametrize('after_s', [0.0, 0.01, 0.1])
 def test_the_zero_of_closing_goes_out_at_once_whatever_waits_for_the_line(device, after_s):
     amplifier = device.amplifier()

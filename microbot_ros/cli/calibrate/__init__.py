@@ -1,1 +1,1 @@
-"""`microbot calibrate`."""
+"""Command `microbot calibrate`."""

@@ -1,4 +1,4 @@
-"""`microbot calibrate`: rig constants from measurements."""
+"""Command `microbot calibrate`: constants of the rig from measurements."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class _AnyFile(pydantic.RootModel[dict[str, Any]]):
 
 
 class _Section(pydantic.BaseModel):
-    """Coils in a file with much else, which is not looked at."""
+    """Section `coils` of a file whose other content is ignored."""
 
     coils: CoilSettings
 
 
 @dataclass(frozen=True)
 class _Found:
-    """The corrected coils, what was found as JSON and as lines for people, and its picture."""
+    """Corrected coils, the result as JSON and as lines for people, and its picture."""
 
     settings: CoilSettings
     summary: dict[str, Any]
@@ -37,7 +37,12 @@ class _Found:
 
 @click.group()
 def command() -> None:
-    """Find constants of the rig from measurements."""
+    """Determine constants of the rig from measurements.
+
+    \b
+    Example:
+      microbot calibrate coils readings.csv --config config/rig.yaml --out out/coils
+    """
 
 
 command.add_command(camera)
@@ -55,18 +60,18 @@ command.add_command(camera)
 def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) -> None:
     """Fit the coils to gaussmeter readings, or to the tracks of a session.
 
-    READINGS.csv has a row per reading with the columns bx_mT and by_mT, the current of each coil
-    (coil_plus_x_A and so on, after the names in the rig's file), and optionally bz_mT and the
-    place of the probe x_mm, y_mm, z_mm (else the workspace centre). Drive each coil by itself,
-    both ways. It gives gain and sign of each coil and the background field.
+    READINGS.csv has one row per reading with the columns bx_mT and by_mT, the current of each coil
+    (coil_plus_x_A and so on, named as in the rig's file), and optionally bz_mT and the position of
+    the probe x_mm, y_mm, z_mm (default: the workspace centre). Drive each coil alone, in both
+    directions. The result is gain and sign of each coil and the background field.
 
-    SESSION, a folder or a recording, has catalytic particles under known commands in directions
-    all round, given through the coils in --config. Which way they swim gives the gain of the y
-    pair over the x pair, its lean and the background field; it cannot give the strength of all
-    coils together, a turn common to all, or one coil of a pair by itself.
+    SESSION, a folder or a recording, has catalytic particles under known commands in all
+    directions, made by the coils in --config. The directions of motion give the gain of the y pair
+    over the x pair, its tilt and the background field; they cannot give the strength of all coils
+    together, a rotation common to all, or a single coil of a pair.
 
-    coils.yaml holds the coils with what was found; the rig's file names it as coils_file of the
-    node coil_driver. What it started from is said.
+    coils.yaml holds the coils with the result; the rig's file names it as coils_file of the node
+    coil_driver. The coils at the start are reported.
 
     \b
     Examples:
@@ -94,7 +99,7 @@ def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) 
 
 
 def _known_coils(config: Path | None) -> tuple[CoilSettings, str]:
-    """The coils that are to be corrected, and in words whose they are."""
+    """Return the coils to correct, and their origin as text."""
     from microbot_ros.common.errors import InputError, clipped
     from microbot_ros.common.files import read_yaml
     from microbot_ros.nodes.configuration import read_rig

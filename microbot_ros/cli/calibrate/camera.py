@@ -1,4 +1,4 @@
-"""`microbot calibrate camera`: the transform from pixels to the workspace, from measurements."""
+"""Command `microbot calibrate camera`: the transform from pixels to the workspace."""
 
 from __future__ import annotations
 
@@ -22,10 +22,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CameraPart:
-    """The tracker's part of a rig's file, and `lines` on where each number is from.
+    """Parameters of the tracker for a rig's file; None for those that are unknown.
 
-    `pixel_size` [m], `rotation` [rad] and whether the picture is `mirrored`; None is what was
-    neither measured nor in the rig's file.
+    Attributes
+    ----------
+    pixel_size : float or None
+        Size of a pixel [m].
+    rotation : float or None
+        Rotation of the picture [rad].
+    mirrored : bool or None
+        Whether the picture is mirrored.
+    lines : tuple of str
+        Text on the origin of each number.
     """
 
     pixel_size: float | None = None
@@ -34,18 +42,41 @@ class CameraPart:
     lines: tuple[str, ...] = ()
 
     def say(self, line: str) -> CameraPart:
-        """The same with one more line."""
+        """Return the same parameters with one more line of text.
+
+        Parameters
+        ----------
+        line : str
+            The line.
+
+        Returns
+        -------
+        CameraPart
+            The parameters.
+        """
         return replace(self, lines=(*self.lines, line))
 
     def as_yaml(self) -> str:
-        """A file for `microbot run --config`, or a section of one."""
+        """Return a file for `microbot run --config`, or a section of one.
+
+        Returns
+        -------
+        str
+            YAML with comments.
+        """
         said = ''.join(f'# {line}\n' for line in self.lines)
         values = ''.join(f'    {name}: {json.dumps(value)}\n'
                          for name, value in self.as_parameters().items() if value is not None)
         return f'{said}tracker:\n  ros__parameters:\n{values}'
 
     def as_parameters(self) -> dict[str, float | bool | None]:
-        """The node's parameters by their names."""
+        """Return the parameters by the names that the node uses.
+
+        Returns
+        -------
+        dict of str to float or bool or None
+            Values by name.
+        """
         return {
             'pixel_size_um': _rounded(
                 None if self.pixel_size is None else from_si('_um', self.pixel_size)),
@@ -84,17 +115,17 @@ def camera(
     along_coils: bool, particles: str | None, diameter_um: float | None, phi_deg: float | None,
     config: Path | None, json_path: Path | None,
 ) -> None:
-    """Find pixel size, rotation and mirroring of the camera against the coils.
+    """Find pixel size, rotation and mirroring of the camera relative to the coils.
 
-    SESSION, a folder or a recording, has particles under known commands in directions all
-    round. Whether the picture is mirrored shows in the sense in which they turn. The rotation
-    does not show by itself, since each particle goes at an angle φ of its own beside the field:
-    it is taken so that φ is zero on average, and only if the particles have a direction in
-    common. State it (--phi-deg) where it is known, or lay the graticule along the coils.
+    SESSION, a folder or a recording, has particles under known commands in all directions. The
+    sense in which they turn shows whether the picture is mirrored. The rotation is not determined
+    by motion alone, since each particle moves at its own angle φ to the field: it is chosen so
+    that φ is zero on average, and only if the particles have a direction in common. State φ
+    (--phi-deg) if it is known, or align the graticule with the coils.
 
-    A picture of a graticule gives the pixel size. camera.yaml is the tracker's part of the rig's
-    file; what nothing was measured of is as in --config, or left out. From a video, `microbot
-    track` makes a session, with commands.csv beside its tracks.csv.
+    A picture of a graticule gives the pixel size. camera.yaml is the tracker's section of the
+    rig's file; values that were not measured are those of --config, or left out. `microbot track`
+    makes a session from a video, with commands.csv beside its tracks.csv.
 
     \b
     Examples:
@@ -134,7 +165,7 @@ def camera(
 
 def _refuse(session: Path | None, graticule: Path | None, along_coils: bool,
             particles: str | None, phi_deg: float | None) -> None:
-    """Raise InputError for options that say nothing together."""
+    """Raise InputError for options that contradict each other."""
     if graticule and particles:
         raise InputError('--particles', 'expected one of --graticule and --particles')
     if along_coils and not graticule:
@@ -144,7 +175,7 @@ def _refuse(session: Path | None, graticule: Path | None, along_coils: bool,
 
 
 def _length(name: str, value_um: float | None, of: str, given: object) -> float:
-    """A length [m] that must be there exactly when what it belongs to is; else 0."""
+    """Return a length [m] that must be given exactly if another option is; else 0."""
     if (value_um is None) != (given is None):
         raise InputError(name, f'expected together with {of}')
     if value_um is not None and not 0 < value_um <= plausible_range('_um')[1]:

@@ -1,4 +1,4 @@
-"""The pictures of the calibrations of camera and coils."""
+"""Figures of the calibrations of camera and coils."""
 
 from __future__ import annotations
 
@@ -16,7 +16,19 @@ if TYPE_CHECKING:
 
 def draw_camera(path: Path, turn: CameraTurn | None, image: np.ndarray | None,
                 lines: Graticule | None) -> None:
-    """To `path`: which way each particle goes (`turn`), and the lines found in `image`, if any."""
+    """Draw the direction of each particle, and the lines of a graticule.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    turn : CameraTurn or None
+        Result of the particles; None for none.
+    image : ndarray or None
+        Picture of the graticule; None for none.
+    lines : Graticule or None
+        Lines in it; None for none.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 4.5), layout='constrained')
@@ -46,7 +58,7 @@ def _directions(axes: Any, turn: CameraTurn) -> None:
 
 
 def _lines(axes: Any, image: np.ndarray, lines: Graticule) -> None:
-    """The picture, every tenth line of the fit over it."""
+    """Draw the picture with every tenth line of the fit."""
     height, width = image.shape
     axes.imshow(image, cmap='gray')
     normal = np.array([math.cos(lines.angle), math.sin(lines.angle)])
@@ -63,7 +75,7 @@ def _lines(axes: Any, image: np.ndarray, lines: Graticule) -> None:
 
 
 def _profile(axes: Any, image: np.ndarray, lines: Graticule) -> None:
-    """Grey level over the place within a period: all lines on top of one another."""
+    """Draw the grey level over the position within a period, averaged over all lines."""
     place, level = _across(image, lines), image.ravel().astype(float)
     bins = np.floor(place * 50).astype(int) % 50
     mean = np.bincount(bins, level, 50) / np.maximum(np.bincount(bins, minlength=50), 1)
@@ -73,14 +85,14 @@ def _profile(axes: Any, image: np.ndarray, lines: Graticule) -> None:
 
 
 def _across(image: np.ndarray, lines: Graticule) -> np.ndarray:
-    """Place of each pixel across the lines, in periods."""
+    """Return the position of each pixel across the lines, in periods."""
     y, x = np.indices(image.shape)
     place = (x * math.cos(lines.angle) + y * math.sin(lines.angle)) / lines.period_px
     return np.asarray(place.ravel())
 
 
 def _phase(image: np.ndarray, lines: Graticule) -> float:
-    """Where in the period the dark or bright lines are."""
+    """Return the position of the lines, dark or bright, in the period."""
     level = image.ravel() - image.mean()
     wave = np.sum(level * np.exp(2j * np.pi * _across(image, lines)))
     # Lines take up less of a period than what is between them: they are the rarer extreme.
@@ -89,7 +101,15 @@ def _phase(image: np.ndarray, lines: Graticule) -> float:
 
 
 def draw_coils(found: CoilMap, path: Path) -> None:
-    """To `path`: which way particles went beside the command, the field `found`, and residuals."""
+    """Draw the directions of particles relative to the command, the fitted field, and residuals.
+
+    Parameters
+    ----------
+    found : CoilMap
+        Result of the calibration.
+    path : Path
+        File to write.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 4.5), layout='constrained')

@@ -1,1 +1,1 @@
-"""`microbot demo`."""
+"""Command `microbot demo`."""

@@ -1,4 +1,4 @@
-"""`microbot demo`: the closed loop on the virtual rig."""
+"""Command `microbot demo`: the closed loop on the virtual rig."""
 
 from __future__ import annotations
 
@@ -26,30 +26,34 @@ from microbot_ros.common.real_time import LOOP, realtime_priority
 from microbot_ros.nodes.client.graph import Graph
 
 GOALS_UM = np.array([(16.0, 10.0), (-14.0, 14.0), (-4.0, -10.0)])
-"""Where to go, relative to where the steered particle is when it knows its v and φ."""
+"""Goals [µm] relative to the steered particle at the time when its v and φ are known. Choice: legs
+of 20 to 30 µm in different directions, which a particle swims within the default duration."""
 
 LEARN_DIRECTIONS_DEG = [0.0, 120.0, 240.0, 60.0, 180.0, 300.0]
-"""One second each: every v and φ can be learned, and nobody gets far."""
+"""Directions [°] of one second each. Choice: they determine v and φ of every particle, and no
+particle moves far."""
 
 LEARN_SECONDS = float(len(LEARN_DIRECTIONS_DEG))
+"""Duration of the directions [s]."""
 
 PIXEL_SIZE_UM = 0.45
-"""Of the virtual microscope."""
+"""Size of a pixel of the virtual microscope [µm], as in its settings."""
 
 NODES = ('recorder', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig')
 _FEWEST_SECONDS = 15.0
+"""Shortest duration [s]. Choice: the directions and one goal."""
 _SPARE_SECONDS = 2.5
-"""Left over for a place to be visited: courses are not straight, and turns take time."""
+"""Spare time for a goal [s]. Choice: paths are not straight, and turns take time."""
 
 
 @dataclass
 class _Run:
-    """What was asked of the loop, and what cut it."""
+    """Goals and interruptions of a run."""
 
     goals: np.ndarray
-    """Where to go, in order (n, 2) [m]."""
+    """Goals in order (n, 2) [m]."""
     armed_at: float
-    """ROS time [s]."""
+    """Time of arming, ROS time [s]."""
     controllers: list[str]
     faults: list[str]
 
@@ -71,12 +75,13 @@ def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
             json_path: Path | None) -> None:
     """Steer a microrobot on the virtual rig, over a real ROS graph and a real serial line.
 
-    Every node is a process. The model learns speed and offset angle of each particle from
-    nothing; then the controller is switched and one particle visits three places, or as many as
-    there is time for. Leaves summary.json, an MCAP recording, an overlay video and a figure.
+    Every node is a process. The model estimates speed and offset angle of each particle without
+    prior knowledge; then the controller is switched and one particle visits three places, or as
+    many as the time allows. Writes summary.json, an MCAP recording, an overlay video and a figure.
 
-    Ends with 0 if every place was reached; with 1, and all files, if not or if the loop was cut.
-    Stopped before the end (Ctrl-C, SIGTERM, SIGHUP) it leaves nothing: 128 and the signal.
+    Ends with 0 if every place was reached; with 1, and all files, if not or if the loop was
+    interrupted. If stopped before the end (Ctrl-C, SIGTERM, SIGHUP) it writes nothing and ends
+    with 128 plus the signal.
 
     \b
     Example:
@@ -97,9 +102,21 @@ def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
 
 
 def tell_shortcomings(faults: list[str], summary: dict[str, Any], began: float) -> int:
-    """Say what cut the loop (`faults`) and which places of `summary` were missed; the exit status.
+    """Report interruptions of the loop and missed goals.
 
-    `began` [s, monotonic] is when the demo did.
+    Parameters
+    ----------
+    faults : list of str
+        Faults that interrupted the loop.
+    summary : dict of str to object
+        Summary of the run.
+    began : float
+        Start of the demo on the monotonic clock [s].
+
+    Returns
+    -------
+    int
+        Exit status.
     """
     if faults:
         _say(began, f'the loop was interrupted: {"; ".join(faults)}')
@@ -124,7 +141,7 @@ def _demo(seconds: float, seed: int, kind: Callable[[Path], Robots], cockpit: bo
 
 def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
          robots: Robots, cockpit: bool, began: float) -> _Run:
-    """The whole graph for that long."""
+    """Run the whole graph for that time."""
     port, log = folder / 'amplifier', folder / 'amplifier.jsonl'
     rig = folder / 'rig.yaml'
     write_text(rig, _rig_file(folder, port, log, seed, robots))
@@ -146,7 +163,7 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
 
 
 def _steer(graph: Graph, seconds: float, robots: Robots, began: float) -> _Run:
-    """Learn, then visit places, for that long."""
+    """Estimate the particles, then visit goals, for that time."""
     from microbot_ros.nodes.client.graph_client import GraphClient
 
     with GraphClient() as client:
@@ -172,7 +189,7 @@ def _steer(graph: Graph, seconds: float, robots: Robots, began: float) -> _Run:
 
 
 class _Watch:
-    """Listens while the demo runs: estimates, faults, what the nodes print."""
+    """Listener during the demo: estimates, faults, output of the nodes."""
 
     def __init__(self, client: Any, graph: Graph, unit: str, began: float) -> None:
         self._client, self._graph, self._unit, self._began = client, graph, unit, began
@@ -182,7 +199,7 @@ class _Watch:
         client.watch_health(self._on_health)
 
     def until_tracked(self, seconds: float) -> None:
-        """Return when the tracker has learned what particles look like and found some."""
+        """Return when the tracker has learned the appearance of particles and found some."""
         deadline = time.monotonic() + seconds
         while not len(self.estimates):
             if time.monotonic() > deadline:
@@ -191,7 +208,7 @@ class _Watch:
             self._graph.pump(0.0)
 
     def until(self, deadline: float) -> None:
-        """Let the loop run; one line a second."""
+        """Run the loop and print one line a second."""
         while (left := deadline - time.monotonic()) > 0:
             self._client.spin(min(1.0, left))
             self._graph.pump(0.0)
@@ -207,10 +224,23 @@ class _Watch:
 
 
 def places_within(seconds: float, estimates: np.ndarray, turns_per_s: float = 1.0) -> np.ndarray:
-    """Those of the places, in order (n, 2) [m], that `seconds` suffice for; one at least.
+    """Return the goals that can be reached in a time, in order; at least one.
 
-    They lie about the particle that is steered, the one of `estimates` with the lowest identity,
-    whose speed is per turn where it makes `turns_per_s`.
+    They are relative to the steered particle, that with the lowest identity.
+
+    Parameters
+    ----------
+    seconds : float
+        The time [s].
+    estimates : ndarray, shape (N,)
+        ESTIMATE of each particle.
+    turns_per_s : float
+        Rotations of the field per second, for a speed per rotation.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Goals [m].
     """
     first = estimates[estimates['id'].argmin()]
     legs = np.diff(GOALS_UM, axis=0, prepend=0.0) * 1e-6
@@ -221,7 +251,7 @@ def places_within(seconds: float, estimates: np.ndarray, turns_per_s: float = 1.
 
 def _look_back(folder: Path, out: Path, asked: _Run, robots: Robots,
                began: float) -> dict[str, Any]:
-    """Summary, figure and video of the recording, written beside it."""
+    """Write summary, figure and video of the recording; return the summary."""
     from microbot_ros.cli.demo.figure import draw
     from microbot_ros.cli.demo.results import DemoRun, summarise
     from microbot_ros.cli.demo.video import write_video
@@ -239,7 +269,7 @@ def _look_back(folder: Path, out: Path, asked: _Run, robots: Robots,
 
 
 def _rig_file(folder: Path, port: Path, log: Path, seed: int, robots: Robots) -> str:
-    """The parameters of every node, as `microbot run` would take them."""
+    """Return the parameters of every node, as a file for `microbot run`."""
     own: dict[str, dict[str, Any]] = {
         'virtual_rig': {'amplifier_log': str(log), 'seed': seed},
         'tracker': {'pixel_size_um': PIXEL_SIZE_UM},

@@ -1,4 +1,4 @@
-"""The demo on one page: paths, what was learned and when, goal error, latency."""
+"""Figure of the demo: paths, estimates over time, goal error, latency."""
 
 from __future__ import annotations
 
@@ -10,13 +10,23 @@ from matplotlib.figure import Figure
 
 from microbot_ros.cli.demo.results import LAST_SECONDS, DemoRun
 
-# Okabe and Ito's palette, which colour-blind people can tell apart.
 COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9')
+"""Palette of Okabe and Ito (2008), which colour-blind people can distinguish."""
 
 
 def draw(run: DemoRun, goal: np.ndarray, unit: str, path: Path) -> None:
-    """Write the figure of a `run` to `path`; `goal` (2,) [m] is the last one; speeds are in
-    a `unit`.
+    """Draw the figure of a run.
+
+    Parameters
+    ----------
+    run : DemoRun
+        The run.
+    goal : ndarray, shape (2,)
+        Last goal [m].
+    unit : str
+        Unit of speeds.
+    path : Path
+        File to write.
     """
     figure = Figure(figsize=(12, 8), layout='constrained')
     axes = figure.subplot_mosaic([['paths', 'speed'], ['paths', 'phi'], ['error', 'latency']])

@@ -1,4 +1,4 @@
-"""What a recording of the demo shows: numbers, a figure, a video."""
+"""Results of a recording of the demo."""
 
 from __future__ import annotations
 
@@ -17,19 +17,34 @@ from microbot_ros.nodes.base import messages
 from microbot_ros.session.mcap.recording import open_recording
 
 LAST_SECONDS = 5.0
-"""The goal error is the mean over the end of the run."""
+"""Duration [s] at the end of the run over which the goal error is averaged. Choice: half is
+noisier, twice includes the approach."""
 
 _REACHED_UM = 3.0
-"""A place counts as reached from this close, in truth; the controller takes 2 µm."""
+"""True distance [µm] from which a goal counts as reached. Choice: the controller uses 2 µm of its
+estimate, whose error is added."""
 
 
 @dataclass
 class DemoRun:
-    """The demo's recording as arrays. Times [s] since the first frame; everything else in SI.
+    """Recording of the demo as arrays, in SI.
 
-    By the time of the frame: `truth`, `particles` and `estimates`, a row each particle. `goals` as
-    they were given, with when; `latency` (K,) from exposure to acknowledgement; `health`, the last
-    values that each node told; `origin`, the stamp of the first frame.
+    Attributes
+    ----------
+    truth : dict of float to ndarray
+        TRUTH of each particle, by time of the frame [s].
+    particles : dict of float to ndarray
+        PARTICLE of each particle, by time of the frame [s].
+    estimates : dict of float to ndarray
+        ESTIMATE of each particle, by time of the frame [s].
+    goals : list of tuple[float, ndarray]
+        Goals (n, 2) [m] with the time [s] at which they were sent.
+    latency : ndarray, shape (K,)
+        Time from exposure to acknowledgement [s].
+    health : dict[str, dict of str to str]
+        Last values that each node reported.
+    origin : float
+        Stamp of the first frame [s].
     """
 
     truth: dict[float, np.ndarray]
@@ -42,7 +57,18 @@ class DemoRun:
 
     @classmethod
     def read(cls, path: Path) -> DemoRun:
-        """Everything but the pictures in the recording at `path`, read once."""
+        """Read a recording, without its pictures.
+
+        Parameters
+        ----------
+        path : Path
+            The recording.
+
+        Returns
+        -------
+        DemoRun
+            The run.
+        """
         kinds = {'/virtual_rig/truth': messages.TRUTH, '/particles': PARTICLE}
         run = cls({}, {}, {}, [], np.empty(0), {}, math.nan)
         clouds = {'/virtual_rig/truth': run.truth, '/particles': run.particles}
@@ -72,7 +98,7 @@ class DemoRun:
 
     @property
     def matches(self) -> dict[int, int]:
-        """Identity given by the tracker → true identity, by where they are at the end."""
+        """True identity of each tracked particle, by their positions at the end."""
         stamp = max(set(self.truth) & set(self.estimates))
         true, seen = self.truth[stamp], self.estimates[stamp]
         distance = np.hypot(seen['x'][:, None] - true['x'], seen['y'][:, None] - true['y'])
@@ -81,11 +107,24 @@ class DemoRun:
 
     @property
     def steered(self) -> int:
-        """The particle that visits the goals: the one seen first."""
+        """Particle that visits the goals: the one seen first."""
         return min(self.matches)
 
     def path(self, clouds: dict[float, np.ndarray], particle: int) -> np.ndarray:
-        """Rows (t, x, y) of one `particle` in `clouds`: `truth`, `particles` or `estimates`."""
+        """Return the path of one particle.
+
+        Parameters
+        ----------
+        clouds : dict of float to ndarray
+            One of `truth`, `particles` and `estimates`.
+        particle : int
+            Its identity.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Rows of time since the first frame [s], x and y [m].
+        """
         rows = [
             (t, *points[['x', 'y']][points['id'] == particle][0].tolist())
             for t, points in sorted(clouds.items()) if particle in points['id']]
@@ -93,10 +132,24 @@ class DemoRun:
 
 
 def summarise(run: DemoRun, goals: np.ndarray, armed_at: float) -> dict[str, Any]:
-    """The numbers of `summary.json` that a `run` holds; `goals` (n, 2) [m] in order.
+    """Return the numbers of `summary.json`.
 
-    Frames count from `armed_at` [s, ROS time]: before, the tracker is learning what particles
-    look like and lets frames pass.
+    Frames count from arming: before, the tracker learns the appearance of particles and skips
+    frames.
+
+    Parameters
+    ----------
+    run : DemoRun
+        The run.
+    goals : ndarray, shape (n, 2)
+        Goals in order [m].
+    armed_at : float
+        Time of arming, ROS time [s].
+
+    Returns
+    -------
+    dict of str to object
+        Values by name.
     """
     truth = run.path(run.truth, run.matches[run.steered])
     end = truth[truth[:, 0] > truth[-1, 0] - LAST_SECONDS]
@@ -119,12 +172,25 @@ def summarise(run: DemoRun, goals: np.ndarray, armed_at: float) -> dict[str, Any
 
 
 def _percentile_ms(latency: np.ndarray, q: int) -> float | None:
-    """None where no command was ever acknowledged."""
+    """Return a percentile of the latency [ms]; None if no command was acknowledged."""
     return round(float(np.percentile(latency, q) * 1e3), 2) if len(latency) else None
 
 
 def goals_reached(path: np.ndarray, goals: np.ndarray) -> int:
-    """How many of the `goals` (n, 2) [m] a `path` (m, 2) [m] comes to, one after the other."""
+    """Return the number of goals that a path visits, in order.
+
+    Parameters
+    ----------
+    path : ndarray, shape (m, 2)
+        Positions [m].
+    goals : ndarray, shape (n, 2)
+        Goals in order [m].
+
+    Returns
+    -------
+    int
+        The number.
+    """
     reached = 0
     for place in path:
         if reached < len(goals) and np.hypot(*(place - goals[reached])) <= _REACHED_UM * 1e-6:
@@ -133,9 +199,9 @@ def goals_reached(path: np.ndarray, goals: np.ndarray) -> int:
 
 
 def _estimates(run: DemoRun) -> Iterator[tuple[str, dict[str, float]]]:
-    """Of every particle that is there at the end what was known of it when it was known best.
+    """Yield the best estimate of every particle that exists at the end.
 
-    Who comes to rest tells nothing of its speed, and may leave the model in doubt.
+    A particle at rest does not determine its speed, and may leave the model in doubt.
     """
     true = {int(point['id']): point for point in run.truth[max(run.truth)]}
     for name, match in run.matches.items():

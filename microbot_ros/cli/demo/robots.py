@@ -1,4 +1,4 @@
-"""The robots of the demo: what each kind is, and what it asks of the rig."""
+"""Robots of the demo, and the parameters of the rig for each kind."""
 
 from __future__ import annotations
 
@@ -15,16 +15,27 @@ from microbot_ros.model.io.model_file import write_model
 from microbot_ros.model.model import Model, ParticleParameters
 
 _FIELD_T = 5e-3
+"""Reference field [T], that of the paper."""
 _LEARN_HZ = 2.0
+"""Rotation frequency [Hz] while the particles are estimated. Choice: far below their step-out."""
 
 
 @dataclass(frozen=True)
 class Robots:
     """A kind of robots.
 
-    `controller` steers them; `turns_per_s` is how fast the field turns on the way, which a speed
-    per turn is multiplied with; `unit` is that of their speed. `emulator` and `nodes` are options
-    and parameters beyond those that all kinds share.
+    Attributes
+    ----------
+    controller : str
+        Controller that steers them.
+    turns_per_s : float
+        Rotations of the field per second on the way, a factor on speeds per rotation.
+    unit : str
+        Unit of their speed.
+    nodes : dict[str, dict of str to object]
+        Parameters of nodes beyond the common ones.
+    emulator : list of str
+        Options of the emulator beyond the common ones.
     """
 
     controller: str
@@ -35,15 +46,31 @@ class Robots:
 
 
 def catalytic(_: Path) -> Robots:
-    """Swimmers in the plane field of four coils: the paper's three particles and one more."""
+    """Return swimmers in the plane field of four coils: the paper's three particles and one more.
+
+    Returns
+    -------
+    Robots
+        The robots.
+    """
     return Robots('waypoint', 1.0, 'µm/s', {'virtual_rig': {
         'speeds_um_s': [3.71, 4.38, 4.98, 4.1], 'phis_rad': [-1.09, 3.82, 2.64, 0.6]}})
 
 
 def rolling(folder: Path) -> Robots:
-    """Rollers on a floor, in a field that three pairs of coils turn.
+    """Return rollers on a floor, in a field that three pairs of coils rotate.
 
-    Writes the coils, and a model that says that they roll, into the `folder`.
+    It writes the coils, and a model of rolling particles.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the files.
+
+    Returns
+    -------
+    Robots
+        The robots.
     """
     coils, model = folder / 'coils.yaml', folder / 'model.yaml'
     write_text(coils, yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
@@ -62,7 +89,13 @@ KINDS = {'catalytic': catalytic, 'rolling': rolling}
 
 
 def three_pairs() -> CoilSettings:
-    """The four coils of the default rig and two like them above and below."""
+    """Return the four coils of the default rig and two like them above and below.
+
+    Returns
+    -------
+    CoilSettings
+        The coils.
+    """
     plane = CoilSettings()
     above = [Winding.model_validate({
         **plane.windings[0].model_dump(), 'name': name, 'position_mm': (0.0, 0.0, z),

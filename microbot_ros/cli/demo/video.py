@@ -1,4 +1,4 @@
-"""The demo as a film: what the camera saw, what the nodes made of it."""
+"""Film of the demo: the camera's frames with the results of the nodes."""
 
 from __future__ import annotations
 
@@ -19,14 +19,26 @@ from microbot_ros.tracking import ImageToWorkspace
 from microbot_ros.tracking.overlay import OverlayVideo, draw_overlay
 
 _RADIUS_PX = 8.0
+"""Radius of circles [px]. Choice: larger than a particle, smaller than distances between them."""
 _TRAIL_FRAMES = 60
+"""Length of trails [frames]. Choice: 6 s, as every sixth of 60 frames a second is recorded."""
 _ORANGE, _WHITE = (0, 159, 230), (255, 255, 255)
+"""Colours (blue, green, red): orange of Okabe and Ito (2008), and white."""
 
 
 def write_video(run: DemoRun, recording: Path, pixel_size: float, path: Path) -> None:
-    """Write every frame of a `recording`, with what the `run` says of it, to `path`, an MP4.
+    """Write every frame of a recording, with the results of a run, as an MP4.
 
-    `pixel_size` [m].
+    Parameters
+    ----------
+    run : DemoRun
+        The run.
+    recording : Path
+        The recording.
+    pixel_size : float
+        Size of a pixel [m].
+    path : Path
+        File to write.
     """
     frames = list(_frames(recording))
     if len(frames) < 2:
@@ -58,7 +70,7 @@ def _frames(recording: Path) -> Iterator[tuple[float, np.ndarray]]:
 
 
 def _fields(recording: Path) -> np.ndarray:
-    """Rows (t, bx, by) of the field read back from the coils."""
+    """Return rows (t, bx, by) of the field read back from the coils."""
     with open_recording(recording) as opened:
         rows = []
         for raw in opened.messages(topics=['/field/applied']):
@@ -86,7 +98,7 @@ def _draw_goals(picture: np.ndarray, run: DemoRun, stamp: float, camera: ImageTo
 
 
 def _draw_field(picture: np.ndarray, fields: np.ndarray, stamp: float) -> None:
-    """An arrow in the corner; its full length is 5 mT."""
+    """Draw the field as an arrow in the corner; its full length is 5 mT."""
     row = np.searchsorted(fields[:, 0], stamp) - 1
     bx, by = fields[row, 1:] if row >= 0 else (0.0, 0.0)
     centre = np.array([picture.shape[1] - 45, 45])

@@ -1,1 +1,1 @@
-"""`microbot discover`."""
+"""Command `microbot discover`."""

@@ -1,4 +1,4 @@
-"""`microbot discover`: find, name, add and prove the effect that the model is missing."""
+"""Command `microbot discover`: find, name, add and verify the effect that the model lacks."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ if TYPE_CHECKING:
 def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, seconds: float,
             rounds: int, drive: bool, minutes: float, apply_: bool,
             json_path: Path | None, namespace: str) -> None:
-    """Find where SESSION and the first-order model part, and name the effect that is missing.
+    """Find where SESSION and the first-order model differ, and name the missing effect.
 
     Several sessions of one rig are explained together. Writes result.json (verdict, effects with
-    intervals and evidence, what is left), model.yaml (the model with the effects, for simulate,
-    the model node and the controllers) and report.html.
+    intervals and evidence, remaining discrepancy), model.yaml (the model with the effects, for
+    simulate, the model node and the controllers) and report.html.
 
     \b
     Example:
@@ -92,7 +92,7 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
 
 def _discover(recordings: Sequence[Session], out: Path, jobs: int, json_path: Path | None,
               progress: Console) -> Discovery:
-    """Search `recordings`; write result and model into `out`, print and return them."""
+    """Search recordings; write result and model into `out`, print and return them."""
     import json
 
     from rich.console import Console
@@ -119,7 +119,7 @@ def _discover(recordings: Sequence[Session], out: Path, jobs: int, json_path: Pa
 
 def _report(out: Path, found: Discovery, recordings: Sequence[Session], sources: Sequence[Path],
             progress: Console) -> None:
-    """Write the report into `out`, beside the results; ReportError where that fails."""
+    """Write the report into `out`, beside the results; ReportError if that fails."""
     from microbot_ros.common.files import writing_report
 
     with progress.status('writing the report'), writing_report(out / 'report.html'):
@@ -130,10 +130,10 @@ def _report(out: Path, found: Discovery, recordings: Sequence[Session], sources:
 
 def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | None,
            progress: Console, namespace: str) -> None:
-    """Look at the recent past of the graph again and again, each time into a folder of its own.
+    """Analyse the recent past of the graph repeatedly, each time into a new folder.
 
-    A node that uses the model of one look goes on with it while the next is written. Looks follow
-    one another, each on what came after the one before, however long that took.
+    A node that uses the model of one analysis keeps it while the next is written. Each analysis
+    uses the data received after the one before, however long that took.
     """
     import time
     from itertools import count
@@ -174,7 +174,7 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
 
 
 def _propose(file: Path, time_invariant: bool, namespace: str, progress: Console) -> None:
-    """How a running graph takes the model."""
+    """Print how a running graph can use the model."""
     where = '' if namespace == '/' else f' --namespace {namespace}'
     for node in ('model', 'controller'):
         progress.print(f'to use it: microbot set {node} model_file {file}{where}',
@@ -186,7 +186,7 @@ def _propose(file: Path, time_invariant: bool, namespace: str, progress: Console
 
 def _listen(client: GraphClient, recent: LiveSessionBuffer, seconds: float,
             progress: Console) -> Session:
-    """What the graph of a `client`, or a replay, says for so long."""
+    """Return the data of the graph of a client, or of a replay, over a time."""
     with progress.status('no particles yet: is a rig running, or a replay?') as status:
         while recent.span < seconds - 0.5:
             client.spin(0.5)

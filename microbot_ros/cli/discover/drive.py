@@ -1,4 +1,4 @@
-"""`microbot discover --drive`: beside a running, armed rig, until the question is settled."""
+"""Command `microbot discover --drive`: drive a running, armed rig to settle the question."""
 
 from __future__ import annotations
 
@@ -15,15 +15,35 @@ if TYPE_CHECKING:
     from microbot_ros.nodes.client.graph_client import GraphClient
 
 CONTROLLER, APPROACH, JUDGED = 'waypoint', 6.0, 10.0
-"""What holds a particle to see what a model is worth; seconds to get there, and that count."""
+"""Controller that holds a particle to evaluate a model; times [s] to reach the place, and of the
+evaluation. Choice: half is noisier, twice keeps the rig for longer."""
 
 
 def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
               progress: Console, namespace: str) -> None:
-    """Drive the rig of a `namespace` for at most so many `minutes`; write into `out` what came.
+    """Drive a rig and write the results.
 
-    The experiments lie in it as sessions, each as soon as it is over. With `use` the model found
-    is given to the rig. RigError where the rig can't be driven, and where nothing was learned.
+    The folder also contains the experiments as sessions, each as soon as it is over.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the results.
+    minutes : float
+        Longest duration [min].
+    use : bool
+        Whether the rig receives the model that is found.
+    json_path : Path or None
+        Another file for the content of result.json; None for none.
+    progress : Console
+        Console for progress.
+    namespace : str
+        Namespace of the rig.
+
+    Raises
+    ------
+    RigError
+        If the rig cannot be driven, or if nothing was learned.
     """
     from microbot_ros.common.ending import Ending, find_launcher
     from microbot_ros.common.errors import ReportError
@@ -49,7 +69,7 @@ def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
 
 
 class _Kept:
-    """Writes every experiment into the folder `out`, numbered."""
+    """Writer of every experiment into a numbered folder."""
 
     def __init__(self, out: Path) -> None:
         self._out = out
@@ -95,7 +115,7 @@ def _write(driven: Driven, out: Path, json_path: Path | None, progress: Console)
 
 def _report(out: Path, driven: Driven, found: Discovery, folders: list[Path],
             used: str = '') -> None:
-    """Write the report into `out`, beside the results; ReportError where that fails."""
+    """Write the report into `out`, beside the results; ReportError if that fails."""
     from microbot_ros.common.files import writing_report
 
     with writing_report(out / 'report.html'):
@@ -107,7 +127,7 @@ def _report(out: Path, driven: Driven, found: Discovery, folders: list[Path],
 
 
 def _give(client: GraphClient, file: Path, progress: Console) -> str:
-    """Give the model in a `file` to the nodes that use one; what that gained, as HTML."""
+    """Load a model into the nodes that use one; return the improvement as HTML."""
     errors = []
     for model in ('', str(file)):
         for node in ('model', 'controller'):
@@ -121,7 +141,7 @@ def _give(client: GraphClient, file: Path, progress: Console) -> str:
 
 
 def _tracking_error(client: GraphClient) -> float:
-    """Mean distance [m] of a particle from where it is to stay, NaN where it was not seen."""
+    """Return the mean distance [m] of a particle from its place; NaN if it was not seen."""
     import numpy as np
 
     heard: list[np.ndarray] = []

@@ -1,1 +1,1 @@
-"""`microbot replay`."""
+"""Command `microbot replay`."""

@@ -1,4 +1,4 @@
-"""`microbot replay --check`: do today's nodes answer as they did when it was recorded?"""
+"""Command `microbot replay --check`: compare answers of the present nodes with recorded ones."""
 
 from __future__ import annotations
 
@@ -25,38 +25,38 @@ if TYPE_CHECKING:
 
 
 ORDER_TOLERANCE, ORDER_SHARE = 1e-3, 0.01
-"""What is promised where the order in which nodes took things in is not recorded: at least 99 % of
-the answers are the same to a thousandth of the largest value in their field. A choice: at 100 Hz,
-one frame a second differs by a goal or field that was taken a frame earlier or later. At half the
-share two such frames in 4 s count as a difference; at twice, a change of 2 % of the frames does
-not."""
+"""Criteria if the order of the nodes' inputs is not recorded: at least 99 % of the answers agree
+to a thousandth of the largest value in their field. Choice: at 100 Hz, one frame a second differs
+by a goal or field that was received a frame earlier or later. At half the share two such frames in
+4 s count as a difference; at twice, a change of 2 % of the frames does not."""
 
 
 def run_check(session: Path, nodes: Collection[str], end: float, tolerance: float,
               config: Path | None, policy: Path | None, out: Path | None,
               json_path: Path | None) -> int:
-    """Replay a `session`, compare, and print the result.
+    """Replay a session, compare, and print the result.
 
     Parameters
     ----------
-    session
+    session : Path
         A recording.
-    nodes
+    nodes : collection of str
         Names of the nodes to replay; empty for all.
-    end
-        Where to end [s].
-    tolerance
-        What numbers may differ by, as a share of the largest in their field.
-    config
+    end : float
+        Time at which to end [s].
+    tolerance : float
+        Largest difference of numbers, as a share of the largest in their field.
+    config : Path or None
         File with parameters in place of the recorded ones.
-    policy
+    policy : Path or None
         Network in place of the one that the recording names.
-    out, json_path
-        Where to write the answers and the differences.
+    out, json_path : Path or None
+        Files for the answers and the differences.
 
     Returns
     -------
-    0 where every answer that can be judged is the same, else 1.
+    int
+        0 if every answer that can be judged is the same, else 1.
     """
     console = Console(highlight=False, width=None if Console().is_terminal else 150)
     if session.exists() and not is_recording(session):
@@ -78,7 +78,7 @@ def run_check(session: Path, nodes: Collection[str], end: float, tolerance: floa
 
 
 def _verdict(found: list[TopicDifference]) -> tuple[bool, str]:
-    """Return whether all is well, and a sentence. What can't be judged at all is not well."""
+    """Return whether all answers agree, and a sentence; no comparable answer is a failure."""
     if not all(topic.same for topic in found):
         return False, 'answers differ'
     blind = [topic.topic for topic in found if topic.unjudged and not topic.pairs]
@@ -91,7 +91,7 @@ def _verdict(found: list[TopicDifference]) -> tuple[bool, str]:
 def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
             config: Path | None, policy: Path | None, out: Path, scratch: Path,
             ) -> list[tuple[TopicDifference, Doubt | None]]:
-    """Replay, and return the difference of each topic with what cannot be judged of it."""
+    """Replay, and return the difference of each topic with its doubts."""
     from microbot_ros.nodes.configuration import read_rig
     from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
 
@@ -128,9 +128,9 @@ def _compared(recorded: Recording, replayed: Recording, replay: Replay, toleranc
 def _answered(
     recorded: Recording, topics: tuple[str, ...], stamps: set[int], progress: Console,
 ) -> set[int]:
-    """Return the frames that a node answered when it was recorded; all, where it answered none.
+    """Return the frames that a node answered when it was recorded; all if it answered none.
 
-    A node that was started later, was ended earlier, or held poses for too old skipped frames.
+    A node that was started later, was ended earlier, or took poses for too old skipped frames.
     """
     there = [topic for topic in topics if topic in recorded.topics]
     answered = stamps.intersection(
@@ -158,7 +158,7 @@ def _table(found: list[TopicDifference]) -> Table:
 
 
 def _entry(topic: TopicDifference, doubt: Doubt | None) -> dict[str, Any]:
-    """A topic for JSON; what is no matter of numbers has no size."""
+    """Return a topic for JSON; differences that are not numbers have no size."""
     first = topic.first
     return {
         'topic': topic.topic, 'compared': topic.pairs, 'differ': topic.unequal,

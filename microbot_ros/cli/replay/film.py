@@ -20,18 +20,31 @@ from microbot_ros.tracking import ImageToWorkspace, Poses
 from microbot_ros.tracking.overlay import OverlayVideo
 
 _RADIUS_PX = 8.0
+"""Radius of circles [px]. Choice: larger than a particle, smaller than distances between them."""
 _WAITING = 32
-"""Frames that wait for their particles: a second at 30 Hz. The tracker takes less than 0.1 s."""
+"""Frames that wait for their particles. Choice: a second at 30 Hz; the tracker takes less than 0.1
+s."""
 _GROUND_PX, _GREY, _ROOM = (480, 640), 128, 1.05
 """Height and width [px] and grey value of the ground where no frames were recorded, and how much
 larger it is than what the particles need. Choices."""
 
 
 def write_film(session: Path, out: Path) -> None:
-    """Draw the recording `session` to `out`, an MP4; `-` is standard output.
+    """Draw a recording as an MP4.
 
-    Without recorded frames the particles are drawn on grey ground, all of them in view. Raises
-    InputError if there are neither frames nor particles.
+    Without recorded frames the particles are drawn on grey ground, all of them in view.
+
+    Parameters
+    ----------
+    session : Path
+        The recording.
+    out : Path
+        File; `-` is standard output.
+
+    Raises
+    ------
+    InputError
+        If there are neither frames nor particles.
     """
     require('mcap', 'video')
     with open_recording(session) as recording:
@@ -54,7 +67,22 @@ def write_film(session: Path, out: Path) -> None:
 
 
 def poses_of(points: np.ndarray, camera: ImageToWorkspace, t: float = 0.0) -> Poses:
-    """Return the particles `points` (N,) of the time `t` [s] as they lie in a picture."""
+    """Return particles in the coordinates of a picture.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N,)
+        PARTICLE of each particle.
+    camera : ImageToWorkspace
+        Geometry of the picture.
+    t : float
+        Time of the picture [s].
+
+    Returns
+    -------
+    Poses
+        Their poses.
+    """
     x, y = camera.pixels(np.column_stack([points['x'], points['y']])).T
     nothing = np.zeros(len(points))
     return Poses(
@@ -95,7 +123,7 @@ def _grounds(recording: Recording, particles: str) -> _Pictures:
 
 
 def _around(recording: Recording, particles: str) -> ImageToWorkspace:
-    """Return how the grey ground lies: all `particles` that there ever are fit on it."""
+    """Return the geometry of the grey ground, on which all `particles` fit."""
     height, width = _GROUND_PX
     farthest = 1e-6
     for _, points in _grounds(recording, particles):
@@ -105,7 +133,7 @@ def _around(recording: Recording, particles: str) -> ImageToWorkspace:
 
 
 def _camera(recording: Recording, image: np.ndarray) -> ImageToWorkspace:
-    """Return how an `image` (H, W) lies, by the tracker's parameters in the recording."""
+    """Return the geometry of an image (H, W), by the tracker's parameters in the recording."""
     height, width = image.shape
     known = kept_parameters(recording.path, recording.attachments(), 'tracker')
     try:

@@ -1,4 +1,4 @@
-"""`microbot replay`: a recording through topics, or through today's nodes to see what changed."""
+"""Command `microbot replay`: a recording on its topics, or through the present nodes."""
 
 from __future__ import annotations
 
@@ -50,21 +50,21 @@ def command(
     into_live_rig: bool, film: Path | None, check: bool, nodes: tuple[str, ...], tolerance: float,
     config: Path | None, policy: Path | None, out: Path | None, json_path: Path | None,
 ) -> None:
-    """Play SESSION, a folder or an MCAP recording, through its topics, with /clock.
+    """Play SESSION, a folder or an MCAP recording, on its topics, with /clock.
 
-    It begins when whoever listens has been found, after 3.5 s in any case. Nodes that are to
-    follow its time run with use_sim_time; beside one that does not, a live rig, it is refused, and
-    stopped where that comes later, unless --into-live-rig allows it. Ctrl-C ends it. While it
-    plays, `microbot set player rate 5` and `seek_s 12.5` change where and how fast, and the
-    services player/pause and player/step hold it and go on by a message.
+    It begins when all listeners are found, and after 3.5 s in any case. Run nodes that must follow
+    its time with use_sim_time. Beside a node that does not, a live rig, it is refused, and stopped
+    if such a node appears later, unless --into-live-rig allows it. Ctrl-C ends it. While it plays,
+    `microbot set player rate 5` and `seek_s 12.5` change speed and position; the service
+    player/pause holds it and player/step advances it by one message.
 
-    With --check nothing is published. Each node whose input was recorded is run with the
-    parameters it had on what it took in then, in the order of the topic loop/log, and its answers
-    are compared field by field; exit status 1 where they differ. Frames that a node did not answer
-    when it was recorded are left out; those that cannot be judged are counted, with the reason.
+    With --check nothing is published. Each node whose input was recorded is run with its recorded
+    parameters on its recorded inputs, in the order of the topic loop/log, and its answers are
+    compared field by field; exit status 1 if they differ. Frames that a node did not answer when
+    it was recorded are left out; frames that cannot be judged are counted, with the reason.
 
     \b
-    Examples, recorded tracks through today's model at ten times the speed; what did my change do?
+    Examples: tracks through the present model at ten times the speed; the effect of a change:
       microbot replay out/demo/recording --rate 10 --topic particles --topic field/applied
       microbot replay out/demo/recording --check --node model
       microbot replay out/demo/recording --film demo.mp4

@@ -1,4 +1,4 @@
-"""`microbot arm`: let the coil driver drive, or not."""
+"""Command `microbot arm`: permit the coil driver to drive, or forbid it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ def command(off: bool, namespace: str) -> None:
     """Arm the safety gate of the running coil driver, or disarm it.
 
     Arming sends a short pulse through each coil to check its sign and gain. The request is sent
-    once: without an answer to it the driver is disarmed. Ends with 1 and the reason where the
-    coil driver is not there, does not answer or refuses, for example because a coil is not right.
+    once: without an answer to it the driver is disarmed. Ends with 1 and the reason if the coil
+    driver is missing, does not answer or refuses, for example because a coil is faulty.
 
-    Disarming prints which of three holds: zero, confirmed by a reading; zero sent, not confirmed;
-    not reachable. Ends with 1 for the third, and for the second where the amplifier reads its
+    Disarming prints one of three states: zero, confirmed by a reading; zero sent, not confirmed;
+    not reachable. Ends with 1 for the third, and for the second if the amplifier reads its
     currents back and so could have confirmed it.
 
     \b

@@ -1,4 +1,4 @@
-"""`microbot cockpit`: the operator's page of a running rig."""
+"""Command `microbot cockpit`: the operator's page of a running rig."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ from microbot_ros.cli.options import namespace_option
                    'machine can drive the rig.')
 @namespace_option
 def command(host: str, port: int, token: bool, namespace: str) -> None:
-    """Serve the operator's page until Ctrl-C: see, point, steer, stop, from any browser.
+    """Serve the operator's page until Ctrl-C: watch, steer and stop the rig from any browser.
 
-    On a terminal it prints the address to open; elsewhere, as in a service, the name of the file
-    that holds it, which only you can read. The address holds a token, new at each start, without
-    which nobody is let in. On a machine with one user --no-token leaves it out; it is refused
-    with a --host beyond this machine. What is sent over a network can be overheard.
+    On a terminal it prints the address to open; elsewhere, such as in a service, the name of the
+    file that contains it, which only you can read. The address contains a token, new at each
+    start, without which access is refused. On a machine with one user --no-token leaves it out; it
+    is refused with a --host beyond this machine. Anybody on the network can read data sent over
+    it.
 
-    The cockpit is no barrier: the driver's dead-man and the amplifier's watchdog are. To end it
-    harms nothing; a rig that drives goes on.
+    The cockpit is no safety barrier: the driver's dead-man and the amplifier's watchdog are.
+    Ending it is harmless; a rig that drives continues.
 
     \b
     Example:

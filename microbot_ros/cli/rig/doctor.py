@@ -1,4 +1,4 @@
-"""`microbot doctor`: is this machine ready, is the rig?"""
+"""Command `microbot doctor`: check whether this machine and the rig are ready."""
 
 from __future__ import annotations
 
@@ -21,15 +21,29 @@ if TYPE_CHECKING:
     from microbot_ros.cameras.stream import FrameStream
 
 _WATCH_SECONDS, _TICK_SECONDS, _LATE_MS = 2.0, 0.005, 10.0
+"""Duration [s] of the test of the dead-man, its period [s] as in the driver, and the delay [ms]
+that is reported. Choice: 10 ms is a tenth of the usual watchdog; a longer test finds rarer
+delays."""
 _CAMERA_SECONDS = 1.0
+"""Duration [s] for which a camera is watched. Choice: some frames of a slow one."""
 _ANY_BAUD = 115_200
+"""Rate [1/s] at which a port is opened for the test; nothing is sent. Choice: any common rate."""
 _UDEV_HINT = 'see "Low latency" in docs/explanation/safety.md for the udev rule that sets it'
 _BUSY = [sys.executable, '-c', 'while True: pass']
 
 
 class Finding(NamedTuple):
-    """One thing that was looked at: its `level`, 'ok', 'warn' or 'fail', and in `detail` what was
-    found and what to do about it."""
+    """Result of one check.
+
+    Attributes
+    ----------
+    what : str
+        Its subject.
+    level : str
+        'ok', 'warn' or 'fail'.
+    detail : str
+        The result, and what to do.
+    """
 
     what: str
     level: str
@@ -42,7 +56,7 @@ class Finding(NamedTuple):
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Write the findings as JSON to this file.')
 def command(config: Path | None, json_path: Path | None) -> None:
-    """Say whether this machine, and with --config the rig, is ready. Moves no current.
+    """Check whether this machine, and with --config the rig, is ready. No current flows.
 
     \b
     Example:
@@ -68,7 +82,7 @@ def command(config: Path | None, json_path: Path | None) -> None:
 
 
 def _readable(config: Path) -> None:
-    """InputError for a file that is not that of a rig: nothing can be said of that rig."""
+    """Raise InputError for a file that is not that of a rig, as the rig cannot be checked then."""
     from microbot_ros.nodes.configuration import read_rig
 
     read_rig(config)
@@ -94,7 +108,7 @@ def _python() -> Finding:
 
 
 def _ros() -> Finding:
-    """A message through the middleware and back, as the nodes send theirs."""
+    """Send a message through the middleware and back, as the nodes do."""
     from microbot_ros.nodes.client.graph_client import GraphClient
 
     with GraphClient('doctor') as client:
@@ -104,7 +118,7 @@ def _ros() -> Finding:
 
 
 def _real_time() -> Finding:
-    """Tried in a thread, so that this process stays an ordinary one."""
+    """Request real-time priority in a thread, so that this process keeps its own."""
     from concurrent.futures import ThreadPoolExecutor
 
     from microbot_ros.common.real_time import set_realtime_priority
@@ -119,7 +133,7 @@ def _real_time() -> Finding:
 
 
 def _dead_man() -> Finding:
-    """How late a thread like the one that zeroes the coils wakes while every core is busy."""
+    """Measure how late a thread like the driver's wakes while every core is busy."""
     from concurrent.futures import ThreadPoolExecutor
 
     from microbot_ros.common.real_time import lateness, set_realtime_priority
@@ -191,7 +205,7 @@ def _rig(config: Path) -> Finding:
 
 
 def _camera(config: Path) -> Finding:
-    """Opens it as its node does, watches it for a moment, and closes it."""
+    """Open the camera as its node does, watch it for a moment, and close it."""
     from microbot_ros.cameras.camera import CameraSettings, camera_class, kind_of
     from microbot_ros.cameras.stream import FrameStream
     from microbot_ros.common.settings import defaults
@@ -220,7 +234,7 @@ def _camera(config: Path) -> Finding:
 
 
 def _watch_camera(stream: FrameStream) -> str:
-    """The rate at which frames come from an opened `stream`; EndOfFrames is no fault of it."""
+    """Return the frame rate of an opened stream; its end is no fault."""
     from microbot_ros.cameras.camera import EndOfFrames
 
     moments: list[float] = []
@@ -235,7 +249,7 @@ def _watch_camera(stream: FrameStream) -> str:
 
 
 def _coils(file: str) -> str:
-    """Whose coils the driver makes its currents by; InputError where it cannot."""
+    """Return the coils of the driver as text; InputError if they cannot be used."""
     from microbot_ros.common.files import read_yaml
     from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 
@@ -275,7 +289,7 @@ def _watchdog(config: Path) -> Finding:
 
 
 def _latency(config: Path) -> Finding:
-    """Opens the port of the amplifier, as the driver does, and closes it: nothing is sent."""
+    """Open the port of the amplifier, as the driver does, and close it; nothing is sent."""
     from microbot_ros.drive.errors import AmplifierError, PortBusyError
     from microbot_ros.nodes.configuration import read_rig
 
@@ -294,7 +308,7 @@ def _latency(config: Path) -> Finding:
 
 
 def _asked_for_low_latency(port: str) -> tuple[bool, str]:
-    """Whether an adapter is slower than it could be, and what was found."""
+    """Return whether an adapter is slower than it could be, and the result as text."""
     from microbot_ros.drive.low_latency import latency_timer_ms
     from microbot_ros.drive.transport import Port
 

@@ -1,4 +1,4 @@
-"""`microbot emulate`: an amplifier on a pseudo-terminal, for trying the driver without one."""
+"""Command `microbot emulate`: an amplifier on a pseudo-terminal, to test without one."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from microbot_ros.cli.options import FiniteFloatRange
 from microbot_ros.drive.emulator import process
 
 _WATCHDOG_MS = 100.0
+"""Watchdog time [ms] by default, that of the reference firmware."""
 
 
 @click.command('emulate')
@@ -37,18 +38,19 @@ _WATCHDOG_MS = 100.0
 def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
             channels: int, watchdog_ms: float | None, no_watchdog: bool, leave_nothing: bool,
             faults: tuple[str, ...]) -> None:
-    """Emulate an amplifier that speaks PROTOCOL on a pseudo-terminal, until a signal: Ctrl-C,
-    SIGTERM or SIGHUP.
+    """Emulate an amplifier that speaks PROTOCOL on a pseudo-terminal, until a signal.
+
+    It ends on Ctrl-C, SIGTERM or SIGHUP.
 
     The watchdog of a serial_transfer board is on, as in the project's reference firmware;
     --no-watchdog models firmware that keeps the last command when its host dies. Of the other
     protocols roboclaw, roboteq and sabertooth arm one, scpi and modbus have none.
 
-    A host may leave and come back; the device keeps its state meanwhile, its watchdog running.
-    A protocol with several ports gets the links PATH-1, PATH-2 and so on.
+    A host may disconnect and return; the device keeps its state meanwhile, and its watchdog keeps
+    running. A protocol with several ports uses the links PATH-1, PATH-2 and so on.
 
-    Faults: drop, flip, double (probability per byte), truncate (per message), delay (ms),
-    silence, reset, wrong_reply, over_temperature, open, reversed, half_gain (of a coil), unplug.
+    Faults: drop, flip, double (probability per byte), truncate (per message), delay (ms), silence,
+    reset, wrong_reply, over_temperature, open, reversed, half_gain (of a coil), unplug.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""`microbot goal`: where the controller is to go."""
+"""Command `microbot goal`: goals of the controller."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 Places = list[tuple[float, float]]
 
 _HEALTH_SECONDS = 1.5
-"""Within this a node says on `/diagnostics` how it is, once a second."""
+"""Time [s] for a report of a node on `/diagnostics`. Choice: one and a half periods of 1 s."""
 
 _JUDGED_SECONDS = 1.0
-"""Within this a controller that sees particles has said what it makes of goals: it judges them
-with the next frame, and tells five times a second."""
+"""Time [s] for the controller's verdict on goals. Choice: it judges them with the next frame, and
+reports five times a second."""
 
 
 # Unknown options are taken as positions, for those may begin with a minus sign.
@@ -45,9 +45,10 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
             seconds: float | None, namespace: str) -> None:
     """Send goals to the running controller, in micrometres of the workspace, in order.
 
-    Ends when the controller has taken them; with 1 and the reason where it is not there, does not
-    answer or refuses: goals outside the workspace, or a controller that takes none, with the names
-    of those that do. Says so where the coils are disarmed: it starts when they are armed.
+    Ends when the controller has accepted them. Ends with 1 and the reason if the controller is
+    missing, does not answer or refuses: goals outside the workspace, or a controller that accepts
+    none, with the names of those that do. Reports if the coils are disarmed: the controller starts
+    when they are armed.
 
     \b
     Examples:
@@ -107,7 +108,7 @@ def _read(file: Path) -> tuple[Places, list[int] | None]:
 
 
 class _Coils:
-    """Says on standard error why the coils will not act, once for each reason."""
+    """Reporter of why the coils will not act, once for each reason, on standard error."""
 
     def __init__(self, client: GraphClient) -> None:
         self._client = client
@@ -115,7 +116,7 @@ class _Coils:
         client.watch_health(self._on_health)
 
     def listen(self) -> None:
-        """Wait until the coil driver has spoken, if there is one."""
+        """Wait until the coil driver has reported, if there is one."""
         if self._client.runs('coil_driver'):
             self._client.until(lambda: self._heard, _HEALTH_SECONDS)
 
@@ -128,8 +129,7 @@ class _Coils:
 
 
 def _refuse(client: GraphClient, what: str, stamp: float) -> None:
-    """RigError where the controller says that `what` it took, of that `stamp`, can't be followed.
-    """
+    """Raise RigError if the controller reports that it cannot follow the input of that stamp."""
     heard = ['', '']
 
     def tell(_level: bytes, sentence: str, values: dict[str, str]) -> None:
@@ -144,7 +144,7 @@ def _refuse(client: GraphClient, what: str, stamp: float) -> None:
 
 
 def _wait(client: GraphClient, stamp: float, seconds: float) -> None:
-    """Tell the progress until arrival; RigError where the goals are refused, else exit 1."""
+    """Print progress until arrival; RigError if the goals are refused, else exit 1."""
     heard, next_line = ['', 'the controller stopped publishing'], 0.0
 
     def tell(_level: bytes, sentence: str, values: dict[str, str]) -> None:

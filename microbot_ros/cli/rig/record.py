@@ -1,4 +1,4 @@
-"""`microbot record`: begin and end a recording of a running rig."""
+"""Command `microbot record`: begin and end a recording of a running rig."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from microbot_ros.cli.options import namespace_option
               help='Folder of the recording; default: ./recordings, named by the time.')
 @namespace_option
 def command(stop: bool, title: str, notes: str, folder: Path | None, namespace: str) -> None:
-    """Tell the recorder of a running rig to begin a recording, or with --stop to end it.
+    """Begin a recording with the recorder of a running rig, or end it with --stop.
 
-    For a recorder with the parameter recording: false; others record from the start, and can be
-    told to stop and to begin another. Ends with 1 and the reason where the recorder is not there,
-    does not answer or refuses.
+    It is for a recorder with the parameter recording: false; others record from the start, and can
+    be stopped and started again. Ends with 1 and the reason if the recorder is missing, does not
+    answer or refuses.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""`microbot run`: the nodes beside a real rig."""
+"""Command `microbot run`: the nodes beside a real rig."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ from microbot_ros.nodes.client.graph import Graph
 @cockpit_option
 @namespace_option
 def command(config: Path, arm: bool, cockpit: bool, namespace: str) -> None:
-    """Run the nodes beside a rig until Ctrl-C, SIGTERM or SIGHUP: the coils go to zero at once.
+    """Run the nodes beside a rig until Ctrl-C, SIGTERM or SIGHUP, which zero the coils at once.
 
-    Nothing drives the coils before the gate is armed: with --arm, or from another terminal
-    with `microbot arm`. A node that ends is reported, and the others go on. At the end a
-    recorder has 15 s to write what it holds. Ends with 0, or with 1 if a node had to be killed.
+    Nothing drives the coils before the gate is armed: with --arm, or from another terminal with
+    `microbot arm`. A node that ends is reported, and the others continue. At the end a recorder
+    has 15 s to write its data. Ends with 0, or with 1 if a node had to be killed.
 
-    Two rigs run side by side in a --namespace each, from two files or from one: `/**/camera` is
-    the camera of every rig, `/rig_2/camera` that of rig_2, `camera` one without a namespace.
+    Two rigs run side by side, each in its own --namespace, from two files or from one:
+    `/**/camera` is the camera of every rig, `/rig_2/camera` that of rig_2, `camera` one without a
+    namespace.
 
     \b
     Example:
@@ -67,7 +68,7 @@ def command(config: Path, arm: bool, cockpit: bool, namespace: str) -> None:
 
 
 def _watch(graph: Graph, arm: bool, namespace: str) -> None:
-    """Tell what changes in the rig of a `namespace`, until every node has ended."""
+    """Print changes in the rig of a namespace, until every node has ended."""
     from microbot_ros.nodes.client.graph_client import GraphClient
 
     last: dict[str, tuple[bytes, str]] = {}

@@ -1,4 +1,4 @@
-"""`microbot set`: change a parameter of a running node."""
+"""Command `microbot set`: change a parameter of a running node."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from microbot_ros.common import strict_yaml
 @click.argument('value')
 @namespace_option
 def command(node: str, parameter: str, value: str, namespace: str) -> None:
-    """Change PARAMETER of the running NODE to VALUE; it may refuse, and says why.
+    """Change PARAMETER of the running NODE to VALUE; the node may refuse, with the reason.
 
-    A path is from here, wherever the node runs on this machine.
+    A path is relative to the present directory, wherever the node runs on this machine.
 
-    Ends with 2 where the value is refused, with 1 where the node is not there or does not answer.
+    Ends with 2 if the value is refused, with 1 if the node is missing or does not answer.
 
     \b
     Example, switching the controller while running:
@@ -36,7 +36,7 @@ def command(node: str, parameter: str, value: str, namespace: str) -> None:
 
 
 def _typed(text: str) -> bool | int | float | str | list[object]:
-    """The value that a text means in YAML, or the text where that is nothing a node takes."""
+    """Return the value of a text in YAML, or the text if no node accepts such a value."""
     try:
         value = strict_yaml.load(text)[1]
     except strict_yaml.YamlError:

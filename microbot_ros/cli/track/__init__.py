@@ -1,1 +1,1 @@
-"""`microbot track`."""
+"""Command `microbot track`."""

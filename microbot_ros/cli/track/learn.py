@@ -1,4 +1,4 @@
-"""What `microbot track` follows: what was pointed at, or what it chooses from all of the film."""
+"""Particles that `microbot track` follows: those pointed at, or chosen from the whole film."""
 
 from __future__ import annotations
 
@@ -22,7 +22,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Point:
-    """Where somebody pointed: `frame`, `x`, `y` [px], and the `kind`, None if not said."""
+    """A point given as an example.
+
+    Attributes
+    ----------
+    frame : int
+        Number of the frame.
+    x : float
+        Column [px].
+    y : float
+        Row [px].
+    kind : str or None
+        Name of its kind; None for none.
+    """
 
     frame: int
     x: float
@@ -31,14 +43,35 @@ class Point:
 
 
 class PointType(click.ParamType):
-    """FRAME,X,Y or, where `named`, FRAME,X,Y,KIND."""
+    """Type of an option FRAME,X,Y or FRAME,X,Y,KIND.
+
+    Parameters
+    ----------
+    named : bool
+        Whether it has a KIND.
+    """
 
     def __init__(self, named: bool) -> None:
         self.name = 'FRAME,X,Y[,KIND]' if named else 'FRAME,X,Y'
         self._most = 4 if named else 3
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Point:
-        """The point that a `value` says; `param` and `ctx` are as click gives them."""
+        """Convert a value, or fail as click does.
+
+        Parameters
+        ----------
+        value : object
+            Value on the command line.
+        param : object
+            Parameter, as click gives it.
+        ctx : object
+            Context, as click gives it.
+
+        Returns
+        -------
+        Point
+            The point.
+        """
         parts = str(value).split(',')
         try:
             frame, x, y = int(parts[0]), float(parts[1]), float(parts[2])
@@ -52,9 +85,24 @@ class PointType(click.ParamType):
 
 def pictures(recording: Source, points: Sequence[Point]) -> tuple[dict[int, np.ndarray],
                                                                   list[np.ndarray]]:
-    """The frames that were pointed into, by number, and some from all over the `recording`, grey.
+    """Return the frames with points, and some frames distributed over the recording.
 
-    Raises InputError for a frame that it doesn't have.
+    Parameters
+    ----------
+    recording : Source
+        The recording.
+    points : sequence of Point
+        The points.
+
+    Returns
+    -------
+    tuple[dict of int to ndarray, list of ndarray]
+        Frames with points by number, and grey frames (H, W).
+
+    Raises
+    ------
+    InputError
+        If a frame does not exist.
     """
     from microbot_ros.cameras.source import grey
     from microbot_ros.tracking.teach.unprompted import evenly
@@ -82,9 +130,25 @@ def pointed(
     settings: TrackerSettings, like: Sequence[Point], unlike: Sequence[Point],
     named: dict[int, np.ndarray], samples: list[np.ndarray],
 ) -> tuple[TrackerSettings, list[str]]:
-    """The `settings` after all examples, and a sentence about each.
+    """Return the settings after all examples, and a sentence about each.
 
-    `named` holds the frames that were pointed into, `samples` frames from all over the film.
+    Parameters
+    ----------
+    settings : TrackerSettings
+        Settings of the tracker.
+    like : sequence of Point
+        Examples of particles.
+    unlike : sequence of Point
+        Examples of other objects.
+    named : dict of int to ndarray
+        Pictures of the frames with points, by number.
+    samples : list of ndarray
+        Pictures of frames distributed over the film.
+
+    Returns
+    -------
+    tuple[TrackerSettings, list of str]
+        The settings and the sentences.
     """
     from microbot_ros.tracking.teach import teacher
     from microbot_ros.tracking.teach.unprompted import without_creeping, without_standing
@@ -119,8 +183,16 @@ def pointed(
 
 @dataclass(frozen=True)
 class Look:
-    """A film as it is tracked: the `recording` as it is seen, the `settings`, and what was `said`
-    of the examples.
+    """A film as it is tracked.
+
+    Attributes
+    ----------
+    recording : Source
+        The film with the view applied.
+    settings : TrackerSettings
+        Settings of the tracker.
+    said : list of str
+        Sentences on the examples.
     """
 
     recording: Source
@@ -132,10 +204,32 @@ def look(
     source: str | Path, report: Callable[[str], None], frame_rate_hz: float | None,
     settings: TrackerSettings, like: Sequence[Point] = (), unlike: Sequence[Point] = (),
 ) -> Look:
-    """Look at the film `source` and learn what to follow: by points, or what it chooses.
+    """Examine a film and learn what to follow: by points, or by its own choice.
 
-    `report` and `frame_rate_hz` as for `open_source`; `settings` are what is known before. Raises
-    InputError for points that mean nothing.
+    Parameters
+    ----------
+    source : str or Path
+        The film.
+    report : callable
+        Function that is called with each remark.
+    frame_rate_hz : float or None
+        Frame rate [Hz]; None for that of the film.
+    settings : TrackerSettings
+        Settings that are known before.
+    like : sequence of Point
+        Examples of particles.
+    unlike : sequence of Point
+        Examples of other objects.
+
+    Returns
+    -------
+    Look
+        The film and the settings.
+
+    Raises
+    ------
+    InputError
+        If a point shows nothing to learn.
     """
     from microbot_ros.cameras.interlaced import interlaced, one_field
     from microbot_ros.cameras.source import decoded, open_source
@@ -167,8 +261,16 @@ def look(
 
 
 def write_learned(folder: Path, settings: TrackerSettings, image: np.ndarray) -> None:
-    """`learned.yaml`, which `--settings` takes, and `learned.png`: what is looked for in `image`,
-    and what is left out.
+    """Write `learned.yaml`, for `--settings`, and `learned.png`, a picture of what is detected.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the files.
+    settings : TrackerSettings
+        Settings of the tracker.
+    image : ndarray
+        Picture in which detections and excluded places are drawn.
     """
     import yaml
 
@@ -185,9 +287,9 @@ def write_learned(folder: Path, settings: TrackerSettings, image: np.ndarray) ->
 def _telling_colour(
     like: Sequence[Point], unlike: Sequence[Point], named: dict[int, np.ndarray]
 ) -> tuple[Weights | None, list[str]]:
-    """The weights that tell best what was pointed at in the `named` frames, and a sentence.
+    """Return the weights of colours that best distinguish the examples, and a sentence.
 
-    None, and no sentence, where brightness does as well.
+    None, and no sentence, if brightness is as good.
     """
     from microbot_ros.tracking.locate.colour import Spot, telling_weights
 

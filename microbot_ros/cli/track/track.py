@@ -1,4 +1,4 @@
-"""`microbot track`: particles and their identities from a recording."""
+"""Command `microbot track`: particles and their identities from a recording."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from microbot_ros.tracking.rows import Rows
 
 _WHOLE = 0.95
-"""Share of the frames in which a particle is seen that lives from start to end."""
+"""Share of the frames in which a particle that lives from start to end is seen. Choice: it may be
+missed now and then; one that leaves for longer is not counted."""
 
 
 @click.command()
@@ -55,11 +56,11 @@ def command(
 ) -> None:
     """Track the particles of SOURCE: a video, a folder of images, or a glob (quoted).
 
-    What the particles look like is learned from the first frames; settings.png shows what was
-    chosen. Where that misses what moves, or where you point at something (--like), the kinds that
-    are followed stand in learned.yaml, for --settings, and learned.png. tracks.csv has a row for
-    every particle in every frame in which it was seen: with --pixel-size-um in micrometres, too,
-    with its heading and σ.
+    The appearance of the particles is learned from the first frames; settings.png shows the
+    choice. If that misses moving objects, or if you point at one (--like), the kinds that are
+    followed are written to learned.yaml, for --settings, and learned.png. tracks.csv has one row
+    for every particle in every frame in which it was seen: with --pixel-size-um also in
+    micrometres, with its heading and σ.
 
     \b
     Examples:
@@ -109,7 +110,7 @@ def _track(
     recording: Source, settings: TrackerSettings, folder: Path, pixel_size_um: float | None,
     commanded: _Commanded | None, overlay: bool, console: Any, problems: list[str],
 ) -> dict[str, Any]:
-    """Fill the folder; returns what the JSON says, and adds what was wrong to `problems`."""
+    """Write the files of the folder; return the result for JSON, and extend `problems`."""
     from microbot_ros.tracking import Tracker
     from microbot_ros.tracking.locate.kinds_detector import stand_in
     from microbot_ros.tracking.overlay import OverlayVideo
@@ -140,7 +141,7 @@ def _follow(
     recording: Source, tracker: Tracker, rows: Rows, commanded: _Commanded | None,
     video: OverlayVideo | None, console: Any, problems: list[str],
 ) -> None:
-    """Every frame through the tracker, into the rows and the video."""
+    """Pass every frame through the tracker, into the rows and the video."""
     from rich.progress import track as progress
 
     from microbot_ros.tracking import FrameError
@@ -175,7 +176,7 @@ def _summary(rows: Rows) -> dict[str, Any]:
 
 
 class _Commanded:
-    """What drives the particles, from a commands.csv."""
+    """Drive of the particles, from a commands.csv."""
 
     def __init__(self, path: Path) -> None:
         from microbot_ros.estimation.online.commands import NEGLIGIBLE
@@ -200,7 +201,7 @@ class _Commanded:
         self._drive = Drive()
 
     def between(self, start: float, end: float) -> np.ndarray:
-        """The drive (2,) in the image's axes, summed from `start` to `end` [s], in turn."""
+        """Return the drive (2,) in the image's axes, summed in order from `start` to `end` [s]."""
         while self._rows and self._rows[-1][0] <= end:
             self._drive.command(*self._rows.pop())
         x, y = self._drive.between(start, end)

@@ -1,4 +1,4 @@
-"""How `microbot track` sees the pictures of a film: in which sum of colours, in which rows."""
+"""View of `microbot track` on the pictures of a film: sum of colours, and rows."""
 
 from __future__ import annotations
 
@@ -13,17 +13,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """What a decoded picture is seen as: grey by the weights of a `colour`, or by brightness where
-    that is None, and where it is `interlaced` by its even rows alone.
+    """Conversion of a decoded picture to grey values.
+
+    Attributes
+    ----------
+    colour : Weights or None
+        Weights of the colours; None for brightness.
+    interlaced : bool
+        Whether only the even rows are used.
     """
 
     colour: Weights | None = None
     interlaced: bool = False
 
     def __call__(self, picture: np.ndarray) -> np.ndarray | None:
-        """The `picture` (H, W) or (H, W, 3 or 4), blue first, as (H, W); None if it is no picture.
+        """Convert a picture (H, W) or (H, W, 3 or 4), blue first, to grey values (H, W).
 
-        InputError where it lacks the colour.
+        None if it is no picture. InputError if it lacks the colour.
         """
         from microbot_ros.cameras.interlaced import one_field
         from microbot_ros.cameras.source import decoded, grey

@@ -22,6 +22,16 @@ class Assignment:
         """Take the goals of `inputs` and return whether they are new.
 
         Raises GoalError for a goal outside the workspace.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+
+        Returns
+        -------
+        bool
+            Whether they are new.
         """
         goals, kept = inputs.goals, self._goals
         same = np.array_equal(goals.position, kept.position)
@@ -39,6 +49,16 @@ class Assignment:
 
         Both are empty without goals; ParticleLostError if there are goals but none of their
         particles.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+
+        Returns
+        -------
+        tuple[ndarray, ndarray]
+            Rows (K,) and goals (K, 2) [m].
         """
         _, rows, goals = np.intersect1d(inputs.ids, self._ids, return_indices=True)
         if len(self._ids) and not len(rows):

@@ -19,7 +19,8 @@ from microbot_ros.control.planning.plan import Plan, Swarm
 # Choices: the grid of the search, whose best plan `refine` improves.
 _DIRECTIONS = np.exp(2j * np.pi * np.arange(16) / 16)
 _ASIDE = np.exp(1j * np.radians([-160, -130, 130, 160]))
-_COASTS = np.linspace(0, 1, 10) ** 1.5
+"""Choice: backwards to either side, with which a goal behind is approached."""
+_COASTS = np.linspace(0, 1, 10) ** 1.5  # choice: parts of the longest coast, denser at short ones
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,22 @@ def search(swarm: Swarm, task: Task, part: int = 0, parts: int = 1) -> Plan:
     """Return the cheapest plan for a `task` of turning a `swarm`, coasting, and a leg together.
 
     Of the candidate starts only every `parts`-th is tried, from number `part` on.
+
+    Parameters
+    ----------
+    swarm : Swarm
+        The swarm.
+    task : Task
+        The task.
+    part : int
+        Number of the first candidate.
+    parts : int
+        Distance between candidates.
+
+    Returns
+    -------
+    Plan
+        The plan.
     """
     slowest = swarm.slowest * swarm.models[0].reference_field / task.limit
     far = float(np.abs(task.goal - swarm.position).max())

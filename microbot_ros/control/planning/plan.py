@@ -28,7 +28,18 @@ class Plan:
         return float(self.duration.sum())
 
     def after(self, dt: float) -> Plan:
-        """Return the remaining plan `dt` [s] later."""
+        """Return the remaining plan `dt` [s] later.
+
+        Parameters
+        ----------
+        dt : float
+            Time that has passed [s].
+
+        Returns
+        -------
+        Plan
+            The remaining plan.
+        """
         ends = np.cumsum(self.duration) - dt
         left = ends > 1e-6
         return Plan(np.minimum(self.duration, ends)[left], self.field[left])
@@ -68,6 +79,18 @@ class Swarm:
 
         `field` is (K, V, 2) [T]. Returns ∫e^{i(θ − φ)} dt (K, N, V) [s] and the headings at the
         edges of the spans (K + 1, N, V).
+
+        Parameters
+        ----------
+        duration : ndarray, shape (K,)
+            Durations [s].
+        field : ndarray, shape (K, V, 2)
+            Fields [T].
+
+        Returns
+        -------
+        tuple[ndarray, ndarray]
+            Integrals (K, N, V) [s] and headings (K + 1, N, V).
         """
         paths, headings = [], []
         # The models differ in their lag only, which is not part of the context.
@@ -84,6 +107,20 @@ class Swarm:
 
         `field` (K, ..., 2) [T] in spans of `duration` (K,) [s]; `position` (K, ..., N) complex
         [m].
+
+        Parameters
+        ----------
+        duration : ndarray, shape (K,)
+            Durations [s].
+        field : ndarray, shape (K, ..., 2)
+            Fields [T].
+        position : ndarray, shape (K, ..., N)
+            Positions, complex [m].
+
+        Returns
+        -------
+        tuple[ndarray, ndarray]
+            Factors and drift [m/s], (K, ..., N) each.
         """
         model = self.models[0]
         places = Places(np.stack([position.real, position.imag], -1), self.ids,
@@ -106,7 +143,20 @@ class Swarm:
 
 
 def with_lags(model: Model, lags: list[float | None]) -> tuple[Model, ...]:
-    """Return the `model` of particles with alignment times `lags` [s]; None: that of the model."""
+    """Return the `model` of particles with alignment times `lags` [s]; None: that of the model.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    lags : list of float or None
+        Alignment times [s]; None for that of the model.
+
+    Returns
+    -------
+    tuple of Model
+        One model per particle.
+    """
     common = max(model.alignment_time, QUICKEST)
     return tuple(model.with_effect(AlignmentLag(tau=lag or common)) for lag in lags)
 
@@ -129,6 +179,20 @@ def roll_out(swarm: Swarm, plan: Plan, limit: float) -> Rollout:
     The derivative is a difference over a thousandth of `limit` [T]; it has no noise, since
     headings are integrated exactly. Speed factors and drift are those at the positions of the plan
     itself.
+
+    Parameters
+    ----------
+    swarm : Swarm
+        The swarm.
+    plan : Plan
+        The plan.
+    limit : float
+        Largest field [T].
+
+    Returns
+    -------
+    Rollout
+        The prediction.
     """
     count = len(plan.duration)
     step = 1e-3

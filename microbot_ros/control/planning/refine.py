@@ -24,6 +24,22 @@ def cost(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout) -> float:
     """Return the cost [µm²] of a `plan` of a `swarm`, with its `rollout`, for a `task`.
 
     It adds the mean square error at the end, time, rotational diffusion and trespass.
+
+    Parameters
+    ----------
+    swarm : Swarm
+        The swarm.
+    plan : Plan
+        The plan.
+    task : Task
+        The task.
+    rollout : Rollout
+        Its prediction.
+
+    Returns
+    -------
+    float
+        Cost [µm²].
     """
     error = np.mean(np.abs(rollout.position[-1] - task.goal) ** 2)
     waiting = (task.impatience * plan.length) ** 2
@@ -39,6 +55,24 @@ def improve(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout,
     """Improve the `plan` of a `swarm` for a `task` by one step from its `rollout`, if possible.
 
     The solver may use at most `seconds`; unfinished work is discarded.
+
+    Parameters
+    ----------
+    swarm : Swarm
+        The swarm.
+    plan : Plan
+        The plan.
+    task : Task
+        The task.
+    rollout : Rollout
+        Its prediction.
+    seconds : float
+        Longest time to wait [s].
+
+    Returns
+    -------
+    tuple[Plan, Rollout]
+        The plan and its prediction.
     """
     step = _solve(rollout, task, seconds)
     if step is None:

@@ -12,6 +12,11 @@ class Route:
 
     Its direction turns evenly along each segment, so that a densely sampled curve is followed
     smoothly. Raises ValueError for fewer than two different points or points that are not finite.
+
+    Parameters
+    ----------
+    points : ndarray, shape (P, 2)
+        Points [m].
     """
 
     def __init__(self, points: np.ndarray) -> None:
@@ -52,6 +57,20 @@ class Route:
 
         With `after` [m], only from a little before it to `reach` [m] beyond, so that a particle
         stays on its branch where the route crosses itself.
+
+        Parameters
+        ----------
+        place : complex
+            Position, complex [m].
+        after : float or None
+            Arc length from which to search [m]; None for all.
+        reach : float
+            Length of the search [m].
+
+        Returns
+        -------
+        float
+            Arc length [m].
         """
         part = np.clip(
             ((place - self._start) * self._step.conj()).real / self._length**2, 0, 1)
@@ -67,7 +86,18 @@ class Route:
         return float(along[np.argmin(away)])
 
     def at(self, along: float) -> tuple[complex, complex]:
-        """Return the point and the unit direction at arc length `along` [m]."""
+        """Return the point and the unit direction at arc length `along` [m].
+
+        Parameters
+        ----------
+        along : float
+            Arc length [m].
+
+        Returns
+        -------
+        tuple[complex, complex]
+            Point [m] and unit direction, complex.
+        """
         if self.closed:
             along %= self.length
         k = int(np.clip(np.searchsorted(self._along, along, side='right') - 1,

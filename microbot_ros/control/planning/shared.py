@@ -13,7 +13,18 @@ from microbot_ros.control.contract import Workspace
 
 
 def as_complex(position: np.ndarray) -> np.ndarray:
-    """Convert vectors, such as a `position`, (..., 2) to complex numbers (...)."""
+    """Convert vectors, such as a `position`, (..., 2) to complex numbers (...).
+
+    Parameters
+    ----------
+    position : ndarray, shape (..., 2)
+        Vectors.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Complex numbers.
+    """
     return position[..., 0] + 1j * position[..., 1]
 
 
@@ -21,6 +32,18 @@ def best_displacement(velocity: np.ndarray, wanted: np.ndarray) -> complex:
     """Return U* = Σ c̄ᵢ dᵢ / Σ |cᵢ|² [s], the displacement with the smallest squared error.
 
     `velocity` c (N,) [m/s]; `wanted` d = g − z (N,) [m]. Zero if no particle moves.
+
+    Parameters
+    ----------
+    velocity : ndarray, shape (N,)
+        Velocity phasors v e^{iφ} [m/s].
+    wanted : ndarray, shape (N,)
+        Vectors to the goals, complex [m].
+
+    Returns
+    -------
+    complex
+        U* [s].
     """
     power = np.vdot(velocity, velocity).real
     return complex(np.vdot(velocity, wanted) / power) if power > 0 else 0j
@@ -30,6 +53,18 @@ def floor(velocity: np.ndarray, wanted: np.ndarray) -> float:
     """Return the RMS distance [m] from the goals below which no controller gets in first order.
 
     `velocity` (N,) [m/s] and `wanted` (N,) [m] as for `best_displacement`.
+
+    Parameters
+    ----------
+    velocity : ndarray, shape (N,)
+        Velocity phasors v e^{iφ} [m/s].
+    wanted : ndarray, shape (N,)
+        Vectors to the goals, complex [m].
+
+    Returns
+    -------
+    float
+        Distance [m].
     """
     left = wanted - velocity * best_displacement(velocity, wanted)
     return float(np.sqrt(np.mean(np.abs(left) ** 2))) if len(left) else 0.0
@@ -69,6 +104,20 @@ def nearest_allowed(wanted: complex, normal: np.ndarray, room: np.ndarray) -> co
 
     If there is none, particles beyond a border may stay as far out as they are. The nearest is the
     best, since the squared error of `best_displacement` grows by Σ|cᵢ|² |U − U*|².
+
+    Parameters
+    ----------
+    wanted : complex
+        Wanted U [s].
+    normal : ndarray, shape (K,)
+        Normals n, complex.
+    room : ndarray, shape (K,)
+        Bounds h.
+
+    Returns
+    -------
+    complex
+        U [s].
     """
     if _allowed(np.array([wanted]), normal, room)[0]:
         return complex(wanted)
@@ -88,7 +137,20 @@ def _feet(wanted: complex, normal: np.ndarray, room: np.ndarray) -> np.ndarray:
 
 
 def allowed_corners(normal: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Return the corners of the region given by `normal` and `room`, and U = 0 if inside."""
+    """Return the corners of the region given by `normal` and `room`, and U = 0 if inside.
+
+    Parameters
+    ----------
+    normal : ndarray, shape (K,)
+        Normals n, complex.
+    room : ndarray, shape (K,)
+        Bounds h.
+
+    Returns
+    -------
+    ndarray
+        Corners, complex [s].
+    """
     a, b = np.triu_indices(len(normal), 1)
     cross = (normal[a].conj() * normal[b]).imag
     some = np.abs(cross) > 1e-9 * np.abs(normal[a]) * np.abs(normal[b])

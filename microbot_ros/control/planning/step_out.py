@@ -61,6 +61,17 @@ class SingleTurns:
     Rollers follow the kinds up to their step-out, which rises from kind to kind. `answer` (N, M)
     [m] is the displacement of each of N rollers by a turn along x, c = g e^{iφ} or 0; a survey
     measures it.
+
+    Parameters
+    ----------
+    slowest : float
+        Lowest step-out [Hz].
+    fastest : float
+        Highest step-out, and highest frequency of a leg [Hz].
+    tick : float
+        Length of a tick [s].
+    delay : int
+        Delay of a command, in ticks.
     """
 
     def __init__(self, slowest: float, fastest: float, tick: float, delay: int) -> None:
@@ -81,7 +92,13 @@ class SingleTurns:
         self.answer = np.zeros((0, len(edge)), complex)
 
     def survey(self) -> list[Leg]:
-        """Return legs of each kind, alternating along ±x, then ±y: all end near their start."""
+        """Return legs of each kind, alternating along ±x, then ±y: all end near their start.
+
+        Returns
+        -------
+        list of Leg
+            The legs.
+        """
         return [Leg(kind, way * (-1) ** kind) for way in (1 + 0j, 1j)
                 for kind in range(len(self.ticks))]
 
@@ -89,6 +106,11 @@ class SingleTurns:
         """Learn the responses from displacements `moved` (L, N) [m] in the legs of the survey.
 
         Raises NoSolutionError for particles that do not roll or that one field cannot separate.
+
+        Parameters
+        ----------
+        moved : ndarray, shape (L, N)
+            Displacements, complex [m].
         """
         ways = np.array([leg.way for leg in self.survey()])
         made = (moved / ways[:, None]).reshape(2, len(self.ticks), -1).mean(0).T
@@ -113,6 +135,16 @@ class SingleTurns:
 
         They minimise the time Σ seconds_m |U_m|, by reweighted least squares (Chartrand and Yin,
         ICASSP 2008, 3869).
+
+        Parameters
+        ----------
+        displacement : ndarray, shape (N,)
+            Displacements, complex [m].
+
+        Returns
+        -------
+        ndarray, shape (M,)
+            Turns, complex.
         """
         weight = self._gladly
         some = 1e-6 * float(np.abs(self.answer).max()) ** 2
@@ -125,7 +157,18 @@ class SingleTurns:
         return turns
 
     def time(self, displacement: np.ndarray) -> float:
-        """Return the approximate time [s] for a `displacement` (N,) [m]."""
+        """Return the approximate time [s] for a `displacement` (N,) [m].
+
+        Parameters
+        ----------
+        displacement : ndarray, shape (N,)
+            Displacements, complex [m].
+
+        Returns
+        -------
+        float
+            Time [s].
+        """
         return float(self.seconds @ np.abs(self.turns(displacement)))
 
     def legs(self, displacement: np.ndarray,
@@ -135,6 +178,19 @@ class SingleTurns:
         Each step takes the turn with the smallest detour of any roller from a straight path; a
         detour that gains missing clearance may be longer. `slack` returns the clearance (C,) [m],
         negative where it lacks, after displacements (N, C) [m].
+
+        Parameters
+        ----------
+        displacement : ndarray, shape (N,)
+            Displacements, complex [m].
+        slack : callable or None
+            Function that returns the clearance (C,) [m] after displacements (N, C) [m]; None for
+            no walls.
+
+        Returns
+        -------
+        list of Leg
+            The legs.
         """
         left = [leg for kind, u in enumerate(self.turns(displacement).tolist())
                 for leg in _whole(kind, u)]
@@ -154,12 +210,31 @@ class SingleTurns:
         return [left[k] for k in order]
 
     def moves(self, legs: list[Leg]) -> np.ndarray:
-        """Return the displacements (N, L) [m] by `legs` (L)."""
+        """Return the displacements (N, L) [m] by `legs` (L).
+
+        Parameters
+        ----------
+        legs : list of Leg
+            The legs.
+
+        Returns
+        -------
+        ndarray, shape (N, L)
+            Displacements, complex [m].
+        """
         way = np.array([leg.way for leg in legs], complex)
         return np.asarray(self.answer[:, [leg.kind for leg in legs]] * way)
 
     def learn(self, leg: Leg, moved: np.ndarray) -> None:
-        """Update the responses by displacements `moved` (N,) [m] measured after a `leg`."""
+        """Update the responses by displacements `moved` (N,) [m] measured after a `leg`.
+
+        Parameters
+        ----------
+        leg : Leg
+            The leg.
+        moved : ndarray, shape (N,)
+            Displacements, complex [m].
+        """
         off = moved / leg.way - self.answer[:, leg.kind]
         self.answer[:, leg.kind] += _FAITH * off
 

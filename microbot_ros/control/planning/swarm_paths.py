@@ -40,7 +40,18 @@ class Room:
     off_walls: float
 
     def to_walls(self, place: np.ndarray) -> np.ndarray:
-        """Return the distance of each `place` (...) [m] to the nearest wall or border (...)."""
+        """Return the distance of each `place` (...) [m] to the nearest wall or border (...).
+
+        Parameters
+        ----------
+        place : ndarray
+            Positions, complex, of any shape [m].
+
+        Returns
+        -------
+        ndarray
+            Distances [m], of the same shape.
+        """
         low, high = complex(*self.view.low), complex(*self.view.high)
         sides = [place.real - low.real, place.imag - low.imag,
                  high.real - place.real, high.imag - place.imag]
@@ -51,7 +62,18 @@ class Room:
 
 
 def between(place: np.ndarray) -> np.ndarray:
-    """Return the distance of each `place` (..., N) [m] to its nearest neighbour; inf if alone."""
+    """Return the distance of each `place` (..., N) [m] to its nearest neighbour; inf if alone.
+
+    Parameters
+    ----------
+    place : ndarray, shape (..., N)
+        Positions, complex [m].
+
+    Returns
+    -------
+    ndarray, shape (..., N)
+        Distances [m].
+    """
     distance = np.abs(place[..., :, None] - place[..., None, :])
     distance[..., np.arange(place.shape[-1]), np.arange(place.shape[-1])] = np.inf
     return np.asarray(distance.min(-1))
@@ -63,6 +85,20 @@ def find_ways(start: np.ndarray, goal: np.ndarray, room: Room,
 
     A generator with that value: it yields every few milliseconds, to let other work go on. Raises
     NoSolutionError if no paths are found in `room`.
+
+    Parameters
+    ----------
+    start : ndarray, shape (N,)
+        Positions, complex [m].
+    goal : ndarray, shape (N,)
+        Goals, complex [m].
+    room : Room
+        The room.
+
+    Returns
+    -------
+    Generator[None, None, ndarray], shape (K, N)
+        Positions, complex [m].
     """
     rng = np.random.default_rng(0)
     search = _Search(start, goal, room)
@@ -156,6 +192,7 @@ class _Search:
 
 _MOVES = sorted(((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)),
                 key=lambda move: abs(move[0]) + abs(move[1]))
+"""Moves to a neighbouring cell, by definition of the grid; short ones first."""
 
 
 def _spread(cells: np.ndarray) -> np.ndarray:

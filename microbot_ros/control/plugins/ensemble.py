@@ -62,7 +62,20 @@ class Aim:
 
     @classmethod
     def least_squares(cls, answer: np.ndarray, wanted: np.ndarray) -> Aim:
-        """Return the aim with the smallest sum of squares, for `answer` and `wanted` (K,)."""
+        """Return the aim with the smallest sum of squares, for `answer` and `wanted` (K,).
+
+        Parameters
+        ----------
+        answer : ndarray, shape (K,)
+            Responses, complex.
+        wanted : ndarray, shape (K,)
+            Wanted displacements, complex.
+
+        Returns
+        -------
+        Aim
+            The aim.
+        """
         return cls(best_displacement(answer, wanted), wanted, answer)
 
     @property
@@ -101,11 +114,37 @@ class SharedField(Controller):
 
     @abstractmethod
     def involved(self, inputs: ControllerInput) -> np.ndarray:
-        """Return the rows (K,) in `inputs` of driven particles; none: the field is off."""
+        """Return the rows (K,) in `inputs` of driven particles; none: the field is off.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+
+        Returns
+        -------
+        ndarray, shape (K,)
+            Rows.
+        """
 
     @abstractmethod
     def aim(self, inputs: ControllerInput, rows: np.ndarray, velocity: np.ndarray) -> Aim:
-        """Return the aim for `rows` of `inputs` with known `velocity` v e^{iφ} (K,) [m/s]."""
+        """Return the aim for `rows` of `inputs` with known `velocity` v e^{iφ} (K,) [m/s].
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+        rows : ndarray, shape (K,)
+            Rows of the particles.
+        velocity : ndarray, shape (K,)
+            Velocity phasors [m/s].
+
+        Returns
+        -------
+        Aim
+            The aim.
+        """
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
         """Return for `inputs` a field along U, or the circle at its end."""

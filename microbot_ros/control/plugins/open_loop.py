@@ -117,7 +117,15 @@ def _from_file(parameters: OpenLoopParameters) -> tuple[Commands, float]:
 
 
 def check_limits(commands: Commands, limits: Limits) -> None:
-    """Raise NoSolutionError if `commands` exceed the `limits`."""
+    """Raise NoSolutionError if `commands` exceed the `limits`.
+
+    Parameters
+    ----------
+    commands : Commands
+        The commands.
+    limits : Limits
+        The limits.
+    """
     strongest = float(np.hypot(*commands.field.T).max())
     if not strongest <= limits.field * (1 + 1e-9):
         raise NoSolutionError(f'the list asks for {strongest * 1e3:g} mT; '

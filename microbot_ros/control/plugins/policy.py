@@ -122,6 +122,11 @@ class OnnxPolicy:
 
     It computes in the calling thread, so that equal inputs give equal actions. Raises InputError
     for a file that cannot be read or is something else, and without onnxruntime.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -140,7 +145,18 @@ class OnnxPolicy:
                              + ', '.join(str(np.shape(one)) for one in found))
 
     def answer(self, observation: np.ndarray) -> np.ndarray:
-        """Return the action (2,) for an `observation` (2 + 7 K,)."""
+        """Return the action (2,) for an `observation` (2 + 7 K,).
+
+        Parameters
+        ----------
+        observation : ndarray, shape (2 + 7 K,)
+            Observation.
+
+        Returns
+        -------
+        ndarray, shape (2,)
+            Action.
+        """
         return np.asarray(self._run(observation[None])[0][0])
 
 

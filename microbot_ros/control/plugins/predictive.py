@@ -75,6 +75,11 @@ class Predictive(Ensemble):
     as time allows; from time to time, and at the end of the plan, others are searched for. In
     between, and if no plan is worth its time, it acts as `ensemble`. `clock` [s] measures the
     computing time.
+
+    Parameters
+    ----------
+    clock : callable
+        Function that returns the time [s].
     """
 
     interface_version = 1

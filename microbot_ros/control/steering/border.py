@@ -24,6 +24,20 @@ def kept_in_view(inputs: ControllerInput, command: FieldCommand, horizon: float)
     that is outside comes back. If one field cannot do that for all, it does so for as many as
     possible. Only particles of `inputs` with known speed and φ count; zero field stays zero. This
     is a control barrier function, h the distance: dh/dt ≥ −h/horizon.
+
+    Parameters
+    ----------
+    inputs : ControllerInput
+        Input of the tick.
+    command : FieldCommand
+        The command.
+    horizon : float
+        Time [s] in which a particle may reach a border.
+
+    Returns
+    -------
+    FieldCommand
+        The command, turned if necessary.
     """
     if not command.in_plane or _clear(
             inputs.expected, inputs.speed, command.frequency or 1.0, inputs.workspace.low,

@@ -16,6 +16,18 @@ def approach(offset: complex, hold_radius: float) -> float:
     From afar it is the tangent to a circle of `hold_radius` [m] about the place, so that the
     circle is joined without a turn; on the circle it runs counter-clockwise; from inside it leads
     outwards. A circle keeps the distance constant and shows an estimator every direction.
+
+    Parameters
+    ----------
+    offset : complex
+        Vector to the place, complex [m].
+    hold_radius : float
+        Radius of the circle [m].
+
+    Returns
+    -------
+    float
+        Course [rad].
     """
     distance = abs(offset)
     if distance >= hold_radius:
@@ -30,6 +42,20 @@ def field_along(inputs: ControllerInput, angle: float, strength: float) -> np.nd
 
     Its strength is `strength` [T], if the limit of `inputs` leaves room to compensate the known
     errors of the path from command to field (stray field, unequal or tilted coils).
+
+    Parameters
+    ----------
+    inputs : ControllerInput
+        Input of the tick.
+    angle : float
+        Direction of the field at the particles [rad].
+    strength : float
+        Strength of the field [T].
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        Field [T].
     """
     limit = inputs.limits.field
     strength = min(strength, limit)
@@ -46,7 +72,18 @@ def field_along(inputs: ControllerInput, angle: float, strength: float) -> np.nd
 
 
 def goals_in_reach(inputs: ControllerInput) -> np.ndarray:
-    """Return the goals (G, 2) [m] of `inputs`; GoalError if one is outside the workspace."""
+    """Return the goals (G, 2) [m] of `inputs`; GoalError if one is outside the workspace.
+
+    Parameters
+    ----------
+    inputs : ControllerInput
+        Input of the tick.
+
+    Returns
+    -------
+    ndarray, shape (G, 2)
+        Goals [m].
+    """
     position = inputs.goals.position
     lost = np.flatnonzero(~inputs.workspace.holds(position))
     if lost.size:
@@ -73,6 +110,24 @@ class Excitation:
         """Return a field of `strength` [T] and `frequency` [Hz] for `inputs`; `leg` [s] per side.
 
         `particles` (K,) are the ids of those it is for; None: all.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+        leg : float
+            Duration of a side [s].
+        strength : float
+            Strength of the field [T].
+        particles : ndarray or None
+            Identities (K,) of particles; None for all.
+        frequency : float
+            Frequency of the field [Hz].
+
+        Returns
+        -------
+        FieldCommand
+            The command.
         """
         if self._begun is None:
             self._begun = inputs.t

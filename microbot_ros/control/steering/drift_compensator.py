@@ -24,6 +24,11 @@ class DriftCompensator:
 
     Its speed, φ and drift come from a filter; the estimates in the input only initialise it. For
     `rolling` particles the response is the gain [m/s/Hz].
+
+    Parameters
+    ----------
+    rolling : bool
+        Whether particles roll.
     """
 
     def __init__(self, rolling: bool = False) -> None:
@@ -33,7 +38,20 @@ class DriftCompensator:
         self._seen = -math.inf
 
     def look(self, inputs: ControllerInput, row: int) -> complex:
-        """Return the position [m] of a `row` of `inputs` when a command given now takes effect."""
+        """Return the position [m] of a `row` of `inputs` when a command given now takes effect.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+        row : int
+            Row of the particle.
+
+        Returns
+        -------
+        complex
+            Position, complex [m].
+        """
         exposed, record = inputs.t - inputs.age, inputs.record
         measured = complex(*inputs.position[row].tolist())
         sigma = float(inputs.sigma[row])
@@ -76,6 +94,20 @@ class DriftCompensator:
         """Return the field (2,) of `strength` [T] for a `course` [rad] over ground, for `inputs`.
 
         The drift is compensated, as far as the particle is faster.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+        course : float
+            Course over ground [rad].
+        strength : float
+            Strength of the field [T].
+
+        Returns
+        -------
+        ndarray, shape (2,)
+            Field [T].
         """
         across = (self.drift * cmath.exp(-1j * course)).imag / abs(self.answer)
         heading = course - math.asin(min(max(across, -1.0), 1.0))

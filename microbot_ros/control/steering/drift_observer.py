@@ -38,11 +38,32 @@ class DriftObserver:
         """Process the position `measured` ± `sigma` [m], `dt` [s] after the measurement before.
 
         `shared` is ∫u dt [s] in between.
+
+        Parameters
+        ----------
+        shared : complex
+            ∫u dt since the last measurement [s].
+        dt : float
+            Time since the last measurement [s].
+        measured : complex
+            Measured position, complex [m].
+        sigma : float
+            Standard deviation of each coordinate [m].
         """
         _update(self._state, self._covariance, shared, dt, measured, sigma, self.WANDER)
 
     def jump(self, dt: float, measured: complex, sigma: float) -> None:
-        """Process `measured` and `sigma` after `dt` [s] in which the field is unknown."""
+        """Process `measured` and `sigma` after `dt` [s] in which the field is unknown.
+
+        Parameters
+        ----------
+        dt : float
+            Time since the last measurement [s].
+        measured : complex
+            Measured position, complex [m].
+        sigma : float
+            Standard deviation of each coordinate [m].
+        """
         self._state[0] = measured
         kept = self._covariance + np.diag(self.WANDER * dt)
         kept[0, :] = kept[:, 0] = 0
@@ -65,7 +86,20 @@ class DriftObserver:
         return complex(self._state[2])
 
     def ahead(self, shared: complex, dt: float) -> complex:
-        """Return the position `dt` [s] after the last measurement, with ∫u dt = `shared`."""
+        """Return the position `dt` [s] after the last measurement, with ∫u dt = `shared`.
+
+        Parameters
+        ----------
+        shared : complex
+            ∫u dt since the last measurement [s].
+        dt : float
+            Time since the last measurement [s].
+
+        Returns
+        -------
+        complex
+            Position, complex [m].
+        """
         return complex(self._state[0] + self._state[1] * shared + self._state[2] * dt)
 
 

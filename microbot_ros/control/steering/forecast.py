@@ -21,6 +21,18 @@ def look_ahead(inputs: ControllerInput, record: FieldRecord) -> np.ndarray:
     A particle moves by v e^{iφ} ∫u dt, under the fields of `record`, from its exposure until a
     command given now takes effect. If φ is not known well enough, the measured position is
     returned.
+
+    Parameters
+    ----------
+    inputs : ControllerInput
+        Input of the tick.
+    record : FieldRecord
+        Commands of the past.
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+        Positions [m].
     """
     rolling = inputs.model is not None and inputs.model.propulsion == 'rolling'
     shared = record.shared(inputs.t - inputs.age, inputs.t + inputs.delay, rolling)

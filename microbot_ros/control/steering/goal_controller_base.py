@@ -87,9 +87,35 @@ class GoalControllerBase(Controller):
             particles=particles)
 
     def fastest(self, inputs: ControllerInput) -> float:
-        """Return the highest frequency [Hz] for `inputs`."""
+        """Return the highest frequency [Hz] for `inputs`.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+
+        Returns
+        -------
+        float
+            Frequency [Hz].
+        """
         return 0.0
 
     @abstractmethod
     def drive(self, inputs: ControllerInput, offset: complex, strength: float) -> FieldCommand:
-        """Return a field of `strength` [T] for `inputs` to the goal at `offset` [m]."""
+        """Return a field of `strength` [T] for `inputs` to the goal at `offset` [m].
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+        offset : complex
+            Vector to the goal, complex [m].
+        strength : float
+            Strength of the field [T].
+
+        Returns
+        -------
+        FieldCommand
+            The command.
+        """

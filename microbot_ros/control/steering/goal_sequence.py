@@ -47,6 +47,13 @@ class GoalSequence:
         """Take the goals of `inputs`; `asked` is the requested particle, −1 for any.
 
         Raises GoalError for a goal outside the workspace.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+        asked : int
+            Identity of the particle; −1 for any.
         """
         if inputs.goals is not self._goals or inputs.workspace is not self._workspace:
             goals_in_reach(inputs)
@@ -62,7 +69,18 @@ class GoalSequence:
         self._named = named >= 0
 
     def row(self, inputs: ControllerInput) -> int:
-        """Return the particle's row of `inputs`; ParticleLostError if there is none."""
+        """Return the particle's row of `inputs`; ParticleLostError if there is none.
+
+        Parameters
+        ----------
+        inputs : ControllerInput
+            Input of the tick.
+
+        Returns
+        -------
+        int
+            The row.
+        """
         if not self._named and self.particle not in inputs.ids:
             inputs.require_particles()
             near = self._position[self._next] if self._seen is None else self._seen
@@ -76,6 +94,18 @@ class GoalSequence:
         """Return the vector [m] from `place` to the present goal, past goals within `arrival` [m].
 
         After the last goal, the vector to that one.
+
+        Parameters
+        ----------
+        place : complex
+            Position, complex [m].
+        arrival : float
+            Distance [m] at which a goal is reached.
+
+        Returns
+        -------
+        complex
+            Vector, complex [m].
         """
         while True:
             offset = complex(*self._position[self._next].tolist()) - place

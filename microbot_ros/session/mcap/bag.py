@@ -15,7 +15,13 @@ METADATA_FILE = 'metadata.yaml'
 
 @cache
 def typestore() -> Any:
-    """Return the message definitions of ROS 2 Jazzy."""
+    """Return the message definitions of ROS 2 Jazzy.
+
+    Returns
+    -------
+    object
+        Typestore of rosbags.
+    """
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
@@ -25,6 +31,18 @@ def whole(data: bytes, msgtype: str) -> bytes:
     """Return the serialised `data` of a message of type `msgtype` without trailing bytes.
 
     rclpy reserves memory by an estimate and may return more than the message.
+
+    Parameters
+    ----------
+    data : bytes
+        The serialised message.
+    msgtype : str
+        Type of the messages, such as 'sensor_msgs/msg/Image'.
+
+    Returns
+    -------
+    bytes
+        The message.
     """
     definition = typestore().get_msgdef(msgtype)
     read = definition.deserialize_cdr_le if data[1] & 1 else definition.deserialize_cdr_be
@@ -33,7 +51,18 @@ def whole(data: bytes, msgtype: str) -> bytes:
 
 
 def metadata_text(summaries: dict[Path, Summary]) -> str:
-    """Return the content of `metadata.yaml` for the files of a recording, `summaries` in order."""
+    """Return the content of `metadata.yaml` for the files of a recording, `summaries` in order.
+
+    Parameters
+    ----------
+    summaries : dict of Path to Summary
+        Summary of each file.
+
+    Returns
+    -------
+    str
+        YAML.
+    """
     counts: Counter[str] = Counter()
     types: dict[str, str] = {}
     for summary in summaries.values():

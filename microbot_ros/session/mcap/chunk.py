@@ -47,6 +47,15 @@ class ChunkBuilder:
         """Append a message: `channel` number, time of receipt `t_ns` [ns], CDR `data`.
 
         `size` grows by its uncompressed length.
+
+        Parameters
+        ----------
+        channel : int
+            Number of the channel.
+        t_ns : int
+            Time of receipt [ns].
+        data : bytes
+            The serialised message.
         """
         self._records[channel].append((t_ns, self.size))
         head = _HEAD.pack(Opcode.MESSAGE, 22 + len(data), channel, 0, t_ns, t_ns)
@@ -57,7 +66,13 @@ class ChunkBuilder:
         self._first, self._last = min(self._first, t_ns), max(self._last, t_ns)
 
     def close(self) -> ClosedChunk:
-        """Return the messages so far as a chunk, and start another."""
+        """Return the messages so far as a chunk, and start another.
+
+        Returns
+        -------
+        ClosedChunk
+            The chunk.
+        """
         with memoryview(self._buffer) as content:
             data = self._compressor.compress(content[:self.size])
         chunk = Chunk(

@@ -17,7 +17,18 @@ _OPTIONAL = ('theta', 'sigma')
 
 
 def is_cloud(content: Any) -> bool:
-    """Return whether a decoded message `content` is a PointCloud2 whose data match its fields."""
+    """Return whether a decoded message `content` is a PointCloud2 whose data match its fields.
+
+    Parameters
+    ----------
+    content : object
+        The decoded message.
+
+    Returns
+    -------
+    bool
+        Whether it is.
+    """
     return (
         getattr(content, '__msgtype__', '') == 'sensor_msgs/msg/PointCloud2'
         and len(content.data) == content.width * content.height * content.point_step
@@ -26,7 +37,18 @@ def is_cloud(content: Any) -> bool:
 
 
 def cloud_table(content: Any) -> np.ndarray:
-    """Return the points of a decoded cloud `content`, (n,) with a named column per field."""
+    """Return the points of a decoded cloud `content`, (n,) with a named column per field.
+
+    Parameters
+    ----------
+    content : object
+        The decoded message.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Structured array.
+    """
     fields = tuple((field.name, field.datatype, field.offset) for field in content.fields)
     dtype = _dtype(fields, content.point_step, bool(content.is_bigendian))
     return np.frombuffer(content.data, dtype)
@@ -38,6 +60,20 @@ def cloud_points(content: Any, path: Path, topic: str) -> dict[str, np.ndarray]:
     `content` is the decoded message on `topic` of the recording `path`. `theta` and `sigma` are
     NaN without such a field. Raises InputError if another field is missing or the size does not
     match.
+
+    Parameters
+    ----------
+    content : object
+        The decoded message.
+    path : Path
+        The recording, for messages.
+    topic : str
+        Name of the topic.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Columns (n,) by name.
     """
     there = {field.name for field in content.fields}
     if not there.issuperset(_REQUIRED):

@@ -22,7 +22,7 @@ from microbot_ros.session.mcap.records import chunk_data, chunk_messages, file_r
 from microbot_ros.session.mcap.recovery import BROKEN, complete_index, recover_summary
 from microbot_ros.session.mcap.writer import MAGIC, closing_bytes
 
-_FOOTER_BYTES = 9 + 20 + len(MAGIC)
+_FOOTER_BYTES = 9 + 20 + len(MAGIC)  # MCAP specification: opcode, length, content and magic
 
 
 class Message(NamedTuple):
@@ -39,6 +39,11 @@ class McapFile:
 
     `complete` tells whether it had a valid one. An unfinished record and all after it are ignored.
     `summary` holds schemas, channels, chunks and counts.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,6 +71,20 @@ class McapFile:
 
         Only chunks that hold such messages are read, each when needed. Raises InputError for a
         damaged one.
+
+        Parameters
+        ----------
+        topics : collection of str or None
+            Names of topics; None for all.
+        start_ns : int
+            Beginning [ns].
+        end_ns : int
+            End [ns], excluded.
+
+        Yields
+        ------
+        Message
+            The message.
         """
         wanted = {
             id_: (channel.topic, self.summary.schemas[channel.schema_id].name)
@@ -91,7 +110,18 @@ class McapFile:
             del waiting[:ready]
 
     def times(self, topic: str) -> np.ndarray:
-        """Return times of receipt (n,) [ns] of a `topic`, ascending, from the message indexes."""
+        """Return times of receipt (n,) [ns] of a `topic`, ascending, from the message indexes.
+
+        Parameters
+        ----------
+        topic : str
+            Name of the topic.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Times [ns].
+        """
         ids = {id_ for id_, channel in self.summary.channels.items() if channel.topic == topic}
         chunks = self.summary.chunk_indexes
         if not chunks or not all(chunk.message_index_offsets for chunk in chunks):
@@ -104,13 +134,25 @@ class McapFile:
         return np.sort(np.concatenate(found))
 
     def attachments(self) -> Iterator[Attachment]:
-        """Yield the attached files."""
+        """Yield the attached files.
+
+        Yields
+        ------
+        Attachment
+            The file.
+        """
         with self._sound():
             for index in self.summary.attachment_indexes:
                 yield Attachment.read(stream_at(self._file, index.offset))
 
     def metadata(self) -> Iterator[Metadata]:
-        """Yield the named sets of keys and values."""
+        """Yield the named sets of keys and values.
+
+        Yields
+        ------
+        Metadata
+            The set.
+        """
         with self._sound():
             for index in self.summary.metadata_indexes:
                 yield Metadata.read(stream_at(self._file, index.offset))

@@ -32,6 +32,16 @@ def session_of(recording: Recording) -> Session:
     recording without commands gives `field/applied` instead, or none. Conditions come from the
     recording's metadata `session`. Raises InputError without tracks, or if a topic has unexpected
     content.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    Session
+        The session.
     """
     particles = recording.topic('particles', 'sensor_msgs/msg/PointCloud2')
     if particles is None:
@@ -137,6 +147,16 @@ def commands_of(series: dict[str, tuple[np.ndarray, np.ndarray]]) -> Commands:
     rotates, and `coils/applied` (K, 1) is 1 where any current flowed. `field/rotation` (K, 1) [Hz]
     in recordings of earlier versions makes `field/command` rotate. Without any command,
     `field/applied` (K, 2) [T] takes its place.
+
+    Parameters
+    ----------
+    series : dict[str, tuple[ndarray, ndarray]]
+        Times and values by topic.
+
+    Returns
+    -------
+    Commands
+        The commands.
     """
     commands = [(times, np.pad(values, [(0, 0), (0, 3 - values.shape[1])]))
                 for name in _COMMANDS if name in series for times, values in [series[name]]]
@@ -168,6 +188,22 @@ def changes(t: np.ndarray, b: np.ndarray, frequency: np.ndarray | None,
     """Return commands of fields `b` (K, 2) [T] without rows that repeat the previous one.
 
     `t` (K,) [s] ascends; `frequency` (K,) [Hz] and `tilt` (K,) [rad], or None.
+
+    Parameters
+    ----------
+    t : ndarray, shape (K,)
+        Times [s].
+    b : ndarray, shape (K, 2)
+        Fields [T].
+    frequency : ndarray, shape (K,), or None
+        Frequencies [Hz], or None.
+    tilt : ndarray, shape (K,), or None
+        Tilts of the axis [rad], or None.
+
+    Returns
+    -------
+    Commands
+        The commands.
     """
     state = np.column_stack([b, *(one for one in (frequency, tilt) if one is not None)])
     new = np.append(True, (np.diff(state, axis=0) != 0).any(axis=1))[:len(t)]
@@ -187,7 +223,18 @@ def _conditions(recording: Recording, rolling: bool) -> Conditions:
 
 
 def stamp_ns(content: Any) -> int:
-    """Return the stamp [ns] in the header of a decoded message `content`."""
+    """Return the stamp [ns] in the header of a decoded message `content`.
+
+    Parameters
+    ----------
+    content : object
+        The decoded message.
+
+    Returns
+    -------
+    int
+        Stamp [ns].
+    """
     stamp = content.header.stamp
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 

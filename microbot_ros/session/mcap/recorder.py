@@ -16,10 +16,11 @@ from microbot_ros.session.mcap.bag import typestore
 from microbot_ros.session.mcap.recording import is_topic
 from microbot_ros.session.mcap.store import MIB, Priority, RecordedTopic, Store
 
-# Choices: a class of messages is dropped while more than this waits in memory, or less than this
-# is free on disk.
 MOST_QUEUED = {Priority.OVERLAY: 32 * MIB, Priority.FRAME: 256 * MIB, Priority.DATA: 512 * MIB}
+"""Choice: bytes in memory from which a class of messages is dropped. Frames of 640×480 at 60 Hz
+fill theirs in 14 s."""
 LEAST_FREE = {Priority.OVERLAY: 1024 * MIB, Priority.FRAME: 256 * MIB, Priority.DATA: 0}
+"""Choice: bytes free on disk below which a class of messages is dropped; data never are."""
 _FRAMES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 _PERIOD, _NICENESS = 0.05, 5  # choices: time between two drains [s], niceness of the thread
 
@@ -48,6 +49,11 @@ class RecordingWriter:
     dropped first, then frames; other messages stay in memory until the disk takes them, up to 512
     MiB: hours of tracks and commands. Dropped messages are counted. The folder holds
     `<name>_0.mcap`, `<name>_1.mcap`, …, and at the end `metadata.yaml`.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -76,6 +82,17 @@ class RecordingWriter:
 
         `t_ns` [ns] is the time of receipt, `data` the CDR bytes. Raises ValueError for a type that
         ROS 2 Jazzy does not define, RuntimeError after `close`.
+
+        Parameters
+        ----------
+        topic : str
+            Name of the topic.
+        msgtype : str
+            Type of the messages, such as 'sensor_msgs/msg/Image'.
+        t_ns : int
+            Time of receipt [ns].
+        data : bytes
+            The serialised message.
         """
         if self._closing.is_set():
             raise RuntimeError('the recording is closed')
@@ -88,7 +105,15 @@ class RecordingWriter:
             self._queued_bytes += len(data)
 
     def attach(self, name: str, content: str | bytes) -> None:
-        """Store a file `name` with this `content` in the recording, such as `rig.yaml`."""
+        """Store a file `name` with this `content` in the recording, such as `rig.yaml`.
+
+        Parameters
+        ----------
+        name : str
+            Name of the file.
+        content : str or bytes
+            Content of the file.
+        """
         now = time.time_ns()
         data = content.encode() if isinstance(content, str) else content
         media = 'text/plain' if isinstance(content, str) else 'application/octet-stream'
@@ -96,12 +121,26 @@ class RecordingWriter:
             self._queue.append(Attachment(now, now, name, media, data))
 
     def describe(self, name: str, entries: dict[str, str]) -> None:
-        """Store `entries` under a `name` in the recording: conditions, versions, a title."""
+        """Store `entries` under a `name` in the recording: conditions, versions, a title.
+
+        Parameters
+        ----------
+        name : str
+            Name of the set.
+        entries : dict of str to str
+            Values by key.
+        """
         with self._lock:
             self._queue.append(Metadata(name, entries))
 
     def status(self) -> RecorderStatus:
-        """Return counts and sizes so far."""
+        """Return counts and sizes so far.
+
+        Returns
+        -------
+        RecorderStatus
+            The status.
+        """
         store = self._store
         with self._lock:
             dropped = dict(store.dropped + self._dropped)

@@ -35,6 +35,11 @@ class Recording:
     `topics` by name; `start_ns` and `end_ns` are the times of receipt of the first and last
     message (0 without messages); `complete` is False for a recording that was cut off, of which
     every whole chunk is available.
+
+    Parameters
+    ----------
+    path : str or Path
+        File or folder.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -61,6 +66,18 @@ class Recording:
         """Return the recorded topic `name` in any namespace, or None.
 
         Raises InputError if there are several, or it has another type than `msgtype`.
+
+        Parameters
+        ----------
+        name : str
+            Name without namespace.
+        msgtype : str
+            Type of the messages, such as 'sensor_msgs/msg/Image'.
+
+        Returns
+        -------
+        str or None
+            Name with namespace, or None.
         """
         found = [topic for topic in self.topics if is_topic(topic, name)]
         if len(found) > 1:
@@ -77,6 +94,20 @@ class Recording:
         """Yield messages of `topics` (None: all), `start_ns` <= t_ns < `end_ns`, as received.
 
         Lazy: only chunks that hold such messages are read. Raises InputError for damaged data.
+
+        Parameters
+        ----------
+        topics : collection of str or None
+            Names of topics; None for all.
+        start_ns : int or None
+            Beginning [ns]; None for that of the recording.
+        end_ns : int or None
+            End [ns], excluded; None for that of the recording.
+
+        Yields
+        ------
+        Message
+            The message.
         """
         low, high = start_ns or 0, _FOREVER if end_ns is None else end_ns
         yield from heapq.merge(
@@ -84,11 +115,33 @@ class Recording:
         )
 
     def times(self, topic: str) -> np.ndarray:
-        """Return times of receipt (n,) [ns] of a `topic`, ascending, without reading messages."""
+        """Return times of receipt (n,) [ns] of a `topic`, ascending, without reading messages.
+
+        Parameters
+        ----------
+        topic : str
+            Name of the topic.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Times [ns].
+        """
         return np.sort(np.concatenate([file.times(topic) for file in self._files]))
 
     def decode(self, message: Message) -> Any:
-        """Return the decoded `message` with NumPy arrays. Raises InputError if that fails."""
+        """Return the decoded `message` with NumPy arrays. Raises InputError if that fails.
+
+        Parameters
+        ----------
+        message : Message
+            The message.
+
+        Returns
+        -------
+        object
+            The decoded message.
+        """
         if message.type not in typestore().types:
             raise InputError(self.path, f'{message.topic}: expected a type of ROS 2 Jazzy, '
                                         f'found {message.type}')
@@ -99,14 +152,26 @@ class Recording:
                                         f'({type(error).__name__})') from None
 
     def attachments(self) -> dict[str, bytes]:
-        """Return the attached files by name."""
+        """Return the attached files by name.
+
+        Returns
+        -------
+        dict of str to bytes
+            Content by name.
+        """
         return {
             record.name: record.data for file in self._files
             for record in file.attachments()
         }
 
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Return the named sets of keys and values."""
+        """Return the named sets of keys and values.
+
+        Returns
+        -------
+        dict[str, dict of str to str]
+            Sets by name.
+        """
         return {
             record.name: record.metadata for file in self._files
             for record in file.metadata()
@@ -156,6 +221,20 @@ def kept_parameters(path: Path, kept: Mapping[str, bytes], node: str) -> dict[st
     """Return the parameters of a `node` in the files `kept` inside the recording at `path`.
 
     Empty where none were kept. Raises InputError for a file that is not what the recorder writes.
+
+    Parameters
+    ----------
+    path : Path
+        The recording, for messages.
+    kept : mapping of str to bytes
+        Attachments by name.
+    node : str
+        Name of the node.
+
+    Returns
+    -------
+    dict of str to object
+        Values by name.
     """
     try:
         text = kept.get(f'parameters/{node}.yaml', b'').decode()
@@ -173,12 +252,33 @@ def open_recording(path: str | Path) -> Recording:
 
     The index at the end of each file is used, or made from the chunks. Raises InputError for files
     that are missing, empty, of another format, or of several recordings.
+
+    Parameters
+    ----------
+    path : str or Path
+        File or folder.
+
+    Returns
+    -------
+    Recording
+        The recording.
     """
     return Recording(path)
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether `path` is a recording rather than a folder of CSV files."""
+    """Return whether `path` is a recording rather than a folder of CSV files.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+
+    Returns
+    -------
+    bool
+        Whether it is.
+    """
     return path.is_file() or (path / METADATA_FILE).exists() or any(path.glob('*.mcap'))
 
 
@@ -226,5 +326,17 @@ def is_topic(topic: str, name: str) -> bool:
     """Return whether a recorded `topic` is `name` in any namespace.
 
     '/particles' and '/rig/particles' are both 'particles'.
+
+    Parameters
+    ----------
+    topic : str
+        Name with namespace.
+    name : str
+        Name without namespace.
+
+    Returns
+    -------
+    bool
+        Whether it is.
     """
     return f'/{topic}'.endswith(f'/{name}')

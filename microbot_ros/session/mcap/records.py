@@ -17,8 +17,8 @@ from mcap.records import Chunk, ChunkIndex
 
 from microbot_ros.session.mcap.writer import MAGIC
 
-_LARGEST_CHUNK = 2**30
-_ALWAYS_READ = 2**26
+_LARGEST_CHUNK = 2**30  # choice: 1 GiB, beyond which a file could fill the memory
+_ALWAYS_READ = 2**26  # choice: 64 MiB, far above any writer's chunks
 _DENSEST = 100
 """Choices: a chunk may hold 64 MiB in any file, and up to 1 GiB in a file of a hundredth of that.
 
@@ -39,7 +39,18 @@ class RecordPlace(NamedTuple):
 
 
 def file_records(file: BinaryIO) -> Iterator[RecordPlace]:
-    """Yield every whole record of a `file`, up to the first unfinished one."""
+    """Yield every whole record of a `file`, up to the first unfinished one.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        The file.
+
+    Yields
+    ------
+    RecordPlace
+        Place of the record.
+    """
     size = file.seek(0, 2)
     position = len(MAGIC)
     while position + _HEAD.size <= size:
@@ -53,7 +64,18 @@ def file_records(file: BinaryIO) -> Iterator[RecordPlace]:
 
 
 def chunk_records(data: bytes) -> Iterator[RecordPlace]:
-    """Yield every record of a chunk's decompressed `data`; struct.error if they are cut."""
+    """Yield every record of a chunk's decompressed `data`; struct.error if they are cut.
+
+    Parameters
+    ----------
+    data : bytes
+        Decompressed data of the chunk.
+
+    Yields
+    ------
+    RecordPlace
+        Place of the record.
+    """
     position = 0
     while position < len(data):
         opcode, length = _HEAD.unpack_from(data, position)
@@ -66,6 +88,16 @@ def chunk_messages(data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
     """Yield every message in a chunk's `data`.
 
     Channel, time [ns], start of its record, start and end of the serialised bytes.
+
+    Parameters
+    ----------
+    data : bytes
+        Decompressed data of the chunk.
+
+    Yields
+    ------
+    tuple of int
+        Channel, time [ns], start of the record, start and end of the bytes.
     """
     for opcode, start, content, end in chunk_records(data):
         if opcode == Opcode.MESSAGE:
@@ -77,6 +109,18 @@ def stream_at(file: BinaryIO, start: int) -> ReadDataStream:
     """Return the content of the record at byte `start` of a `file`, for the mcap package.
 
     Raises McapError for a record that does not lie inside the file.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        The file.
+    start : int
+        First byte of the record.
+
+    Returns
+    -------
+    ReadDataStream
+        The content.
     """
     size = file.seek(0, 2)
     if not 0 <= start <= size - _HEAD.size:
@@ -92,6 +136,18 @@ def chunk_data(file: BinaryIO, index: ChunkIndex) -> bytes:
     """Return the decompressed content of a chunk at `index` of a `file`.
 
     Raises McapError if it is too large or its size is not the stated one.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        The file.
+    index : ChunkIndex
+        Index of the chunk.
+
+    Returns
+    -------
+    bytes
+        The content.
     """
     chunk = Chunk.read(stream_at(file, index.chunk_start_offset))
     size, most = chunk.uncompressed_size, max(_ALWAYS_READ, _DENSEST * file.seek(0, 2))

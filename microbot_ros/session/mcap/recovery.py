@@ -48,6 +48,16 @@ def recover_summary(file: BinaryIO) -> tuple[Summary, int]:
     """Return the summary of the whole records at the start of a `file`, and where they end.
 
     Only the last chunk is opened, and those of writers that keep channels inside.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        The file.
+
+    Returns
+    -------
+    tuple[Summary, int]
+        The summary, and the end of the records [bytes].
     """
     summary = empty_summary()
     chunk: ChunkIndex | None = None
@@ -84,6 +94,20 @@ def complete_index(file: BinaryIO, index: ChunkIndex, end: int) -> int:
     """Write the message index of the last chunk `index` to a `file` at `end`.
 
     Return the length.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        The file.
+    index : ChunkIndex
+        Index of the chunk.
+    end : int
+        Byte at which to write.
+
+    Returns
+    -------
+    int
+        Length [bytes].
     """
     if index.message_index_offsets:
         return 0

@@ -16,7 +16,7 @@ from microbot_ros.session.mcap.bag import METADATA_FILE, metadata_text
 from microbot_ros.session.mcap.chunk import ChunkBuilder, ClosedChunk
 from microbot_ros.session.mcap.writer import McapWriter
 
-MIB = 2**20
+MIB = 2**20  # bytes of a mebibyte, by definition
 CHUNK_BYTES = 4 * MIB  # choice: as the largest chunks of rosbag2
 FLUSH_SECONDS = 0.5
 """Choice: age at which a chunk is written, half of the second that a crash may cost."""
@@ -24,17 +24,18 @@ SYNC_SECONDS = 0.4
 """Choice: time between two fdatasync. After every chunk, a busy disk would block twenty times a
 second.
 """
-# Choices: size and duration from which a new file is begun, which bounds what one file can lose.
 SEGMENT_BYTES = 4096 * MIB
+"""Choice: size from which a new file is begun, which bounds what one file can lose."""
 SEGMENT_SECONDS = 600.0
+"""Choice: duration [s] from which a new file is begun, which bounds what one file can lose."""
 
 
 class Priority(IntEnum):
     """Order in which messages are dropped when the disk cannot keep up; data never are."""
 
-    OVERLAY = 0
-    FRAME = 1
-    DATA = 2
+    OVERLAY = 0  # first to be dropped
+    FRAME = 1  # dropped second
+    DATA = 2  # never dropped
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,11 @@ class Store:
 
     Tracks can thus be read without decompressing frames, and refused chunks be dropped by
     priority. Not thread-safe: one thread stores, others may read the public attributes.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -77,6 +83,15 @@ class Store:
         """Add a message of `topic`, received at `t_ns` [ns] with CDR `data`.
 
         It is on disk after the next `tick` that finds its chunk due.
+
+        Parameters
+        ----------
+        topic : RecordedTopic
+            The topic.
+        t_ns : int
+            Time of receipt [ns].
+        data : bytes
+            The serialised message.
         """
         builder = self._builders[topic.priority]
         if not builder.size:
@@ -87,7 +102,13 @@ class Store:
             self._flush(topic.priority)
 
     def add_record(self, record: Attachment | Metadata) -> None:
-        """Write an attachment or metadata `record` at once."""
+        """Write an attachment or metadata `record` at once.
+
+        Parameters
+        ----------
+        record : Attachment or Metadata
+            The record.
+        """
         self._waiting.append((Priority.DATA, record))
         self._write()
 
@@ -108,6 +129,11 @@ class Store:
         """Write all remaining data, the indexes and `metadata.yaml`.
 
         `lost` counts messages dropped before they were added, by topic.
+
+        Parameters
+        ----------
+        lost : Counter[str]
+            Dropped messages by topic.
         """
         for priority in Priority:
             self._flush(priority)

@@ -40,6 +40,11 @@ class McapWriter:
 
     Every method appends whole records directly or, if the disk refuses, raises OSError and leaves
     the file as it was.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -58,7 +63,15 @@ class McapWriter:
             raise
 
     def add_channel(self, schema: Schema, channel: Channel) -> None:
-        """Declare a topic, its `schema` and `channel`, before the first chunk that holds it."""
+        """Declare a topic, its `schema` and `channel`, before the first chunk that holds it.
+
+        Parameters
+        ----------
+        schema : Schema
+            Schema of the topic.
+        channel : Channel
+            Channel of the topic.
+        """
         # Outside the chunks, so that a cut-off file can be indexed without decompressing it.
         new = schema.id not in self.summary.schemas
         self._append((bytes_of(schema) if new else b'') + bytes_of(channel))
@@ -66,7 +79,13 @@ class McapWriter:
         self.summary.channels[channel.id] = channel
 
     def add_chunk(self, closed: ClosedChunk) -> None:
-        """Append a `closed` chunk and the index of its messages."""
+        """Append a `closed` chunk and the index of its messages.
+
+        Parameters
+        ----------
+        closed : ClosedChunk
+            The chunk.
+        """
         chunk = closed.chunk
         start, head = self.size, chunk_head(chunk)
         length = len(head) + len(chunk.data)
@@ -86,13 +105,25 @@ class McapWriter:
             self.summary, chunk.message_start_time, chunk.message_end_time, counts)
 
     def add_attachment(self, record: Attachment) -> None:
-        """Append an attached file `record`."""
+        """Append an attached file `record`.
+
+        Parameters
+        ----------
+        record : Attachment
+            The record.
+        """
         start, block = self.size, bytes_of(record)
         self._append(block)
         self.summary.attachment_indexes.append(attachment_index(record, start, len(block)))
 
     def add_metadata(self, record: Metadata) -> None:
-        """Append a `record` of named keys and values."""
+        """Append a `record` of named keys and values.
+
+        Parameters
+        ----------
+        record : Metadata
+            The record.
+        """
         start, block = self.size, bytes_of(record)
         self._append(block)
         self.summary.metadata_indexes.append(MetadataIndex(start, len(block), record.name))
@@ -129,7 +160,13 @@ class McapWriter:
 
 
 def empty_summary() -> Summary:
-    """Return the summary of a file without records."""
+    """Return the summary of a file without records.
+
+    Returns
+    -------
+    Summary
+        The summary.
+    """
     summary = Summary()
     summary.statistics = Statistics(
         attachment_count=0, channel_count=0, channel_message_counts={}, chunk_count=0,
@@ -140,7 +177,22 @@ def empty_summary() -> Summary:
 
 
 def attachment_index(record: Attachment, start: int, length: int) -> AttachmentIndex:
-    """Return the summary entry of an attachment `record` of `length` bytes at byte `start`."""
+    """Return the summary entry of an attachment `record` of `length` bytes at byte `start`.
+
+    Parameters
+    ----------
+    record : Attachment
+        The record.
+    start : int
+        First byte of the record.
+    length : int
+        Length of the record [bytes].
+
+    Returns
+    -------
+    AttachmentIndex
+        The entry.
+    """
     return AttachmentIndex(
         offset=start, length=length, log_time=record.log_time, create_time=record.create_time,
         data_size=len(record.data), name=record.name, media_type=record.media_type,
@@ -148,7 +200,19 @@ def attachment_index(record: Attachment, start: int, length: int) -> AttachmentI
 
 
 def count_messages(summary: Summary, start: int, end: int, counts: dict[int, int]) -> None:
-    """Add messages received from `start` to `end` [ns], `counts` by channel, to a `summary`."""
+    """Add messages received from `start` to `end` [ns], `counts` by channel, to a `summary`.
+
+    Parameters
+    ----------
+    summary : Summary
+        Summary of the file.
+    start : int
+        Time of the first message [ns].
+    end : int
+        Time of the last message [ns].
+    counts : dict of int to int
+        Messages by channel.
+    """
     statistics = summary.statistics
     assert statistics is not None
     first = not statistics.message_count
@@ -161,7 +225,20 @@ def count_messages(summary: Summary, start: int, end: int, counts: dict[int, int
 
 
 def closing_bytes(summary: Summary, start: int) -> bytes:
-    """Return all bytes after the data of an MCAP file whose data end at byte `start`."""
+    """Return all bytes after the data of an MCAP file whose data end at byte `start`.
+
+    Parameters
+    ----------
+    summary : Summary
+        Summary of the file.
+    start : int
+        First byte after the data.
+
+    Returns
+    -------
+    bytes
+        The bytes.
+    """
     statistics = summary.statistics
     assert statistics is not None
     statistics.schema_count = len(summary.schemas)
@@ -189,7 +266,18 @@ def closing_bytes(summary: Summary, start: int) -> bytes:
 
 
 def chunk_head(chunk: Chunk) -> bytes:
-    """Return a `chunk` record up to its data, which are too large to be copied into it."""
+    """Return a `chunk` record up to its data, which are too large to be copied into it.
+
+    Parameters
+    ----------
+    chunk : Chunk
+        The chunk.
+
+    Returns
+    -------
+    bytes
+        The bytes.
+    """
     kind = chunk.compression.encode()
     fields = struct.pack(
         f'<QQQII{len(kind)}sQ', chunk.message_start_time, chunk.message_end_time,
@@ -198,7 +286,18 @@ def chunk_head(chunk: Chunk) -> bytes:
 
 
 def bytes_of(record: McapRecord) -> bytes:
-    """Return the bytes of a `record` in a file."""
+    """Return the bytes of a `record` in a file.
+
+    Parameters
+    ----------
+    record : McapRecord
+        The record.
+
+    Returns
+    -------
+    bytes
+        The bytes.
+    """
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()

@@ -22,8 +22,8 @@ _FRAME = 'workspace'
 _POINT = np.dtype([('id', '<u4')] + [
     (name, '<f4') for name in ('x', 'y', 'theta', 'vx', 'vy', 'sigma')
 ])
-_UINT32, _FLOAT32 = 6, 7
-_SECOND = 1_000_000_000
+_UINT32, _FLOAT32 = 6, 7  # sensor_msgs/msg/PointField
+_SECOND = 1_000_000_000  # nanoseconds, by definition
 
 
 class SessionMessages:
@@ -32,6 +32,11 @@ class SessionMessages:
     Its first row is at 1 s of ROS time, since zero means an unknown clock. Tracks are `particles`,
     one message per frame, without velocities. Commands are `field/command` or, for rolling
     particles, `field/rotating`.
+
+    Parameters
+    ----------
+    session : Session
+        The session.
     """
 
     def __init__(self, session: Session) -> None:
@@ -54,6 +59,20 @@ class SessionMessages:
         """Yield messages of `topics` (None: all) from `start_ns` up to `end_ns` [ns] by time.
 
         As `Recording.messages`; at equal times, commands come before the particles they move.
+
+        Parameters
+        ----------
+        topics : collection of str or None
+            Names of topics; None for all.
+        start_ns : int or None
+            Beginning [ns]; None for that of the recording.
+        end_ns : int or None
+            End [ns], excluded; None for that of the recording.
+
+        Yields
+        ------
+        Message
+            The message.
         """
         series = {
             COMMAND: self._commands(), ROTATING: self._rotating(), PARTICLES: self._particles(),
@@ -70,7 +89,18 @@ class SessionMessages:
                 yield message
 
     def times(self, topic: str) -> np.ndarray:
-        """Return times (n,) [ns] of the messages of a `topic`, ascending."""
+        """Return times (n,) [ns] of the messages of a `topic`, ascending.
+
+        Parameters
+        ----------
+        topic : str
+            Name of the topic.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Times [ns].
+        """
         return np.unique(self._track_ns) if topic == PARTICLES else self._command_ns
 
     def _particles(self) -> Iterator[Message]:

@@ -89,6 +89,11 @@ def compare(
         Relative to the largest number of a field.
     doubt : Doubt, optional
         Explains differences that are left unjudged.
+
+    Returns
+    -------
+    list of TopicDifference
+        Differences of each topic.
     """
     names = sorted({*a.topics, *b.topics} if topics is None else topics)
     return [_compare_topic(a, b, name, stamps, tolerance, doubt) for name in names]

@@ -49,6 +49,22 @@ def read_log(source: Source, topic: str, node: str, frame: str) -> Iterator[Entr
     """Return what a `node`, which answers `frame`, took in, from the log on a recorded `topic`.
 
     Raises InputError for a line that is not of the log.
+
+    Parameters
+    ----------
+    source : Source
+        The recording or session.
+    topic : str
+        Topic of the log.
+    node : str
+        Name of the node.
+    frame : str
+        Topic that the node answers.
+
+    Yields
+    ------
+    Entry
+        The entry.
     """
     turn = 0
     for message in source.messages([topic]):
@@ -71,13 +87,33 @@ def order_of_receipt(source: Source, topics: Mapping[str, str]) -> Iterator[Entr
     """Return what a node may have taken in, in a recording without its log.
 
     `topics` of the recording → their names. The order is that of the recorder.
+
+    Parameters
+    ----------
+    source : Source
+        The recording or session.
+    topics : mapping of str to str
+        Name by recorded topic.
+
+    Yields
+    ------
+    Entry
+        The entry.
     """
     for message in source.messages([*topics]):
         yield Entry(topics[message.topic], header_stamp_ns(message.data), message.t_ns)
 
 
 class Inputs:
-    """Recorded messages of some topics, each returned once. `topics`: name → recorded topic."""
+    """Recorded messages of some topics, each returned once. `topics`: name → recorded topic.
+
+    Parameters
+    ----------
+    source : Source
+        The recording or session.
+    topics : mapping of str to str
+        Recorded topic by name.
+    """
 
     def __init__(self, source: Source, topics: Mapping[str, str]) -> None:
         self._names = {topic: name for name, topic in topics.items()}
@@ -86,7 +122,22 @@ class Inputs:
         self._read_ns = 0
 
     def find(self, name: str, stamp_ns: int, at_ns: int) -> bytes | None:
-        """Return the message `name` of `stamp_ns` received nearest to `at_ns` [ns], or None."""
+        """Return the message `name` of `stamp_ns` received nearest to `at_ns` [ns], or None.
+
+        Parameters
+        ----------
+        name : str
+            Name of the topic.
+        stamp_ns : int
+            Stamp of the message [ns].
+        at_ns : int
+            Time of receipt [ns].
+
+        Returns
+        -------
+        bytes or None
+            The serialised message, or None.
+        """
         waiting = self._waiting.get(name)
         if waiting is None:
             return None
@@ -133,6 +184,16 @@ def header_stamp_ns(data: bytes) -> int:
 
     OMG CDR: an encapsulation of four bytes whose second is odd for little-endian, then `int32 sec,
     uint32 nanosec`. Raises InputError if the data are too short.
+
+    Parameters
+    ----------
+    data : bytes
+        The serialised message.
+
+    Returns
+    -------
+    int
+        Stamp [ns].
     """
     if len(data) < 12:
         raise InputError('message', f'expected a message with a header, found {len(data)} bytes')

@@ -33,12 +33,38 @@ class Source(Protocol):
         self, topics: Collection[str] | None = None, start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[Message]:
-        """Yield messages of `topics` (None: all) from `start_ns` up to `end_ns` [ns] by time."""
+        """Yield messages of `topics` (None: all) from `start_ns` up to `end_ns` [ns] by time.
+
+        Parameters
+        ----------
+        topics : collection of str or None
+            Names of topics; None for all.
+        start_ns : int or None
+            Beginning [ns]; None for that of the recording.
+        end_ns : int or None
+            End [ns], excluded; None for that of the recording.
+
+        Yields
+        ------
+        Message
+            The message.
+        """
 
 
 @contextmanager
 def open_source(path: str | Path) -> Iterator[Source]:
-    """Open the session at `path`, a folder or a recording, for playing."""
+    """Open the session at `path`, a folder or a recording, for playing.
+
+    Parameters
+    ----------
+    path : str or Path
+        File or folder.
+
+    Yields
+    ------
+    Source
+        The session or recording.
+    """
     path = Path(path)
     if path.exists() and not is_recording(path):
         yield SessionMessages(read_folder(path))
@@ -106,13 +132,35 @@ class Playback:
         return self._paused
 
     def take(self, now: float) -> Message | None:
-        """Return the next message if it is due at `now` [s], else None."""
+        """Return the next message if it is due at `now` [s], else None.
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+
+        Returns
+        -------
+        Message or None
+            The message, or None.
+        """
         if self._paused or self._next is None or self.wait(now) > 0:
             return None
         return self._advance(now)
 
     def wait(self, now: float) -> float:
-        """Return seconds from `now` until the next message is due; infinity if none will be."""
+        """Return seconds from `now` until the next message is due; infinity if none will be.
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+
+        Returns
+        -------
+        float
+            Time [s].
+        """
         if self._paused or self._next is None:
             return math.inf
         if self._rate == math.inf:
@@ -121,27 +169,66 @@ class Playback:
         return max(0.0, due - now)
 
     def clock_ns(self, now: float) -> int:
-        """Return the time for `/clock` at `now` [s]; it never passes a message not yet taken."""
+        """Return the time for `/clock` at `now` [s]; it never passes a message not yet taken.
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+
+        Returns
+        -------
+        int
+            Time [ns].
+        """
         limit = self._last if self._next is None else self._next.t_ns
         if self._paused or self._rate == math.inf:
             return min(self._at, limit)
         return min(self._at + round((now - self._since) * 1e9 * self._rate), limit)
 
     def pause(self, now: float) -> None:
-        """Stop the clock at `now` [s]."""
+        """Stop the clock at `now` [s].
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+        """
         self._at, self._paused = self.clock_ns(now), True
 
     def resume(self, now: float) -> None:
-        """Let the clock continue at `now` [s]."""
+        """Let the clock continue at `now` [s].
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+        """
         self._since, self._paused = now, False
 
     def set_rate(self, rate: float, now: float) -> None:
-        """Change the `rate` from `now` [s] on; InputError if out of range."""
+        """Change the `rate` from `now` [s] on; InputError if out of range.
+
+        Parameters
+        ----------
+        rate : float
+            Speed relative to real time.
+        now : float
+            Present time [s].
+        """
         rate = _checked_rate(rate)
         self._at, self._since, self._rate = self.clock_ns(now), now, rate
 
     def seek(self, seconds: float, now: float) -> None:
-        """Go to `seconds` since the start of the source, within the limits, at `now` [s]."""
+        """Go to `seconds` since the start of the source, within the limits, at `now` [s].
+
+        Parameters
+        ----------
+        seconds : float
+            Time since the start of the source [s].
+        now : float
+            Present time [s].
+        """
         position = seconds * 1e9 + self._source.start_ns
         if not self._first <= position <= self._last:
             low, high = (
@@ -150,7 +237,20 @@ class Playback:
         self._go_to(round(position), now)
 
     def step(self, now: float, topic: str | None = None) -> Iterator[Message]:
-        """Pause at `now` [s] and yield the next message, or all up to the next of `topic`."""
+        """Pause at `now` [s] and yield the next message, or all up to the next of `topic`.
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+        topic : str or None
+            Name of a topic; None for any.
+
+        Yields
+        ------
+        Message
+            The message.
+        """
         self.pause(now)
         while self._next is not None:
             message = self._advance(now)

@@ -22,11 +22,11 @@ _ALIKE = 0.8
 """Choice: ratio of the agreement with the mirror image from which both agree equally."""
 _FEWEST_ROWS = 20
 """Choice: rows from which motion along one line is not a coincidence."""
-_NEAR_90 = math.radians(12)
+_NEAR_90 = math.radians(12)  # choice: error of a mean direction, with room
 _NEAR_90_AXIS = math.radians(30)
 """Choice: robots of unequal coils lead by ±8 to ±16° at diagonals; this still counts as 90°."""
-_NEAR_180 = math.radians(30)
-_FULL_TURN = 2 * math.pi + 0.01
+_NEAR_180 = math.radians(30)  # choice: as wide as `_NEAR_90_AXIS`
+_FULL_TURN = 2 * math.pi + 0.01  # choice: a turn, with room for rounding
 _MOST_TURNS = 4
 """Choice: turns of an unwrapped angle in radians; beyond, degrees are as likely."""
 
@@ -38,6 +38,24 @@ def angles(sheet: Sheet, column: Column, columns: Sequence[Column], answers: Ans
     The unit is the one in `answers`, that of the column's name, that of the other `columns` of
     angles, or the one that the size of the values shows. `said` collects assumptions. Raises
     InputError if none decides.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        The sheet.
+    column : Column
+        The column.
+    columns : sequence of Column
+        Other columns of angles.
+    answers : Answers
+        Answers of the user.
+    said : Assumptions
+        Collects assumptions.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Angles [rad].
     """
     values, name = sheet.numbers(column.index), sheet.names[column.index]
     unit = answers.angle_unit or column.unit
@@ -93,6 +111,26 @@ def settle_angles(
     near ±90° may be the convention of the angles or the heading offset of the robot: an InputError
     naming `source` asks for it. If the angles are those of an `axis` of rotation, as tilt and cone
     angle show, robots roll at a right angle to it and nothing is asked.
+
+    Parameters
+    ----------
+    commands : Commands
+        The commands.
+    tracks : Tracks
+        The tracks.
+    answers : Answers
+        Answers of the user.
+    said : Assumptions
+        Collects assumptions.
+    source : str
+        Name of the file, for messages.
+    axis : bool
+        Whether the angles are those of an axis of rotation.
+
+    Returns
+    -------
+    Commands
+        The converted commands.
     """
     z = commands.field @ np.array([1, 1j])
     if commands.frequency is not None:
@@ -151,6 +189,20 @@ def agreement(tracks: Tracks, t: np.ndarray, z: np.ndarray) -> complex:
 
     Its size, 0 to 1, is the share of the path of the `tracks` that keeps one angle to the commands
     `z` (K,), complex, given at `t` (K,) [s]; its phase is that angle [rad].
+
+    Parameters
+    ----------
+    tracks : Tracks
+        The tracks.
+    t : ndarray, shape (K,)
+        Times [s].
+    z : ndarray, shape (K,)
+        Commands, complex.
+
+    Returns
+    -------
+    complex
+        The mean, complex.
     """
     unit = np.divide(z, np.abs(z), out=np.zeros_like(z), where=z != 0)
     along, path = 0j, 0.0

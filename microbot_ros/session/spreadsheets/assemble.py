@@ -29,6 +29,18 @@ def import_session(path: Path, answers: Answers) -> tuple[Session, list[str]]:
     each; commands may be in the same sheets or in their own. `answers` are the user's options.
     Raises InputError naming the option that answers an open question, or the cell that is wrong;
     SummaryError if the file holds averages.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+    answers : Answers
+        Answers of the user.
+
+    Returns
+    -------
+    tuple[Session, list of str]
+        The session and the assumptions.
     """
     sheets, told = read_sheets(path)
     said = Assumptions(told)

@@ -68,6 +68,18 @@ def find_columns(sheet: Sheet, named: dict[str, str]) -> list[Column]:
     """Return the columns of a `sheet` with a known role; `named` (role → name) takes precedence.
 
     Raises InputError if two columns claim one role.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        The sheet.
+    named : dict of str to str
+        Name by role.
+
+    Returns
+    -------
+    list of Column
+        The columns.
     """
     columns = []
     for index, name in enumerate(sheet.names):

@@ -36,7 +36,18 @@ _UPRIGHT = np.radians(1.0)
 
 
 def commands_in(columns: Sequence[Column]) -> bool:
-    """Return whether `columns` hold commands."""
+    """Return whether `columns` hold commands.
+
+    Parameters
+    ----------
+    columns : sequence of Column
+        Columns of the sheet.
+
+    Returns
+    -------
+    bool
+        Whether they do.
+    """
     roles = {column.role for column in columns}
     return 'direction' in roles or {'bx', 'by'} <= roles
 
@@ -50,6 +61,26 @@ def find_commands(
     `timelines` are the times of the `robots`' rows, `tracks` their motion, `answers` the user's
     options; `said` collects assumptions. Raises InputError naming the option that answers an open
     question.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        The sheets with their columns.
+    robots : sequence of Part
+        Sheets of the robots.
+    timelines : list of RowTimes
+        Times of the rows of each robot.
+    tracks : Tracks
+        The tracks.
+    answers : Answers
+        Answers of the user.
+    said : Assumptions
+        Collects assumptions.
+
+    Returns
+    -------
+    Commands
+        The commands.
     """
     chosen = [part for part in parts if commands_in(part[1])]
     if not chosen:

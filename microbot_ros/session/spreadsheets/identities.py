@@ -48,6 +48,18 @@ def settle_identities(pieces: Sequence[Tracks], said: Assumptions) -> list[Track
     A piece is a stretch of one sheet; several of one name were cut apart. Pieces of several robots
     are returned unchanged. After a jump or a cut, a stretch gets the identity of the robot last
     seen where it begins, else a new one. `said` notes each change.
+
+    Parameters
+    ----------
+    pieces : sequence of Tracks
+        Tracks of the pieces.
+    said : Assumptions
+        Collects assumptions.
+
+    Returns
+    -------
+    list of Tracks
+        Tracks with identities.
     """
     mixed = [piece for piece in pieces if len(np.unique(piece.particle)) != 1]
     stretches: list[_Stretch] = []

@@ -47,7 +47,24 @@ class RowTimes:
 def own_row_times(
     sheet: Sheet, columns: Sequence[Column], answers: Answers, said: Assumptions,
 ) -> RowTimes | None:
-    """Return the times that a `sheet` states itself in its `columns`; None if it states none."""
+    """Return the times that a `sheet` states itself in its `columns`; None if it states none.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        The sheet.
+    columns : sequence of Column
+        Columns of the sheet.
+    answers : Answers
+        Answers of the user.
+    said : Assumptions
+        Collects assumptions.
+
+    Returns
+    -------
+    RowTimes or None
+        The times, or None.
+    """
     by_role = {column.role: column for column in columns}
     frames = sheet.numbers(by_role['frame'].index) if 'frame' in by_role else None
     if 'time' in by_role:
@@ -74,7 +91,24 @@ def own_row_times(
 
 def joined_row_times(sheet: Sheet, columns: Sequence[Column], others: list[RowTimes],
                     said: Assumptions) -> RowTimes:
-    """Return times of a `sheet` with none of its own, or only frames, from `others`."""
+    """Return times of a `sheet` with none of its own, or only frames, from `others`.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        The sheet.
+    columns : sequence of Column
+        Columns of the sheet.
+    others : list of RowTimes
+        Times of other sheets.
+    said : Assumptions
+        Collects assumptions.
+
+    Returns
+    -------
+    RowTimes
+        The times.
+    """
     longest = clock_of(others)
     if len(sheet.rows) == len(longest.t):
         said.add(f'{sheet.name}: matched row by row to {longest.sheet.name}')
@@ -101,6 +135,18 @@ def aligned(timelines: list[RowTimes], said: Assumptions) -> list[RowTimes]:
     where it begins. The clock is extended where a sheet begins before the longest or ends after
     it. After a cut a sheet continues from the frame at which its track was picked up. `said`
     collects assumptions.
+
+    Parameters
+    ----------
+    timelines : list of RowTimes
+        Times of the rows of each robot.
+    said : Assumptions
+        Collects assumptions.
+
+    Returns
+    -------
+    list of RowTimes
+        The times on one clock.
     """
     if not all(timeline.intervals for timeline in timelines) or len(timelines) < 2:
         return timelines
@@ -113,6 +159,16 @@ def clock_of(timelines: Sequence[RowTimes]) -> RowTimes:
     """Return the clock to compare other sheets with: that of the longest of `timelines`.
 
     It is extended by the others if all run along it.
+
+    Parameters
+    ----------
+    timelines : sequence of RowTimes
+        Times of the rows of each robot.
+
+    Returns
+    -------
+    RowTimes
+        The clock.
     """
     if len(timelines) > 1 and all(timeline.intervals for timeline in timelines):
         return _clock(timelines)

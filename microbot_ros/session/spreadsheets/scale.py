@@ -45,6 +45,7 @@ _AGREES = 0.02
 _PIXEL_UM = (0.01, 50.0)
 """Pixel sizes [µm] of microscopes: from a 100x objective to a macro lens."""
 _SPEED_UNITS = {'_um_s': 1e-6, '_mm_s': 1e-3, '': 1e-6}
+"""Factors to m/s by suffix, by definition; without a suffix µm/s, as in most tables."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,20 @@ def speed_ratio(speed: np.ndarray, z: np.ndarray, t: np.ndarray) -> SpeedRatio |
 
     `t` (n,) [s] are the times of the rows. All windows up to 40 frames and three time bases are
     tried; that with the best agreement is returned. None if no ratio is common to the rows.
+
+    Parameters
+    ----------
+    speed : ndarray, shape (n,)
+        Speeds of the table.
+    z : ndarray, shape (n,)
+        Positions, complex.
+    t : ndarray, shape (n,)
+        Times [s].
+
+    Returns
+    -------
+    SpeedRatio or None
+        The ratio, or None.
     """
     best: tuple[float, SpeedRatio] | None = None
     steps = np.diff(t, prepend=np.nan)
@@ -134,6 +149,24 @@ def settle_scale(path: Path, robots: Sequence[Part], timelines: Sequence[RowTime
 
     `timelines` hold the times of the robots' rows; `said` collects assumptions. Raises InputError
     if the stated scale contradicts the speeds of the table, or two robots have different scales.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+    robots : sequence of Part
+        Sheets of the robots.
+    timelines : sequence of RowTimes
+        Times of the rows of each robot.
+    answers : Answers
+        Answers of the user.
+    said : Assumptions
+        Collects assumptions.
+
+    Returns
+    -------
+    Scale
+        The scale.
     """
     sheet, columns = robots[0]
     x = next(column for column in columns if column.role == 'x')

@@ -49,7 +49,13 @@ class Answers:
 
 
 class Assumptions(list[str]):
-    """Assumptions of an import, a sentence each without repetition."""
+    """Assumptions of an import, a sentence each without repetition.
+
+    Parameters
+    ----------
+    sentences : iterable of str
+        First sentences.
+    """
 
     def __init__(self, sentences: Iterable[str] = ()) -> None:
         super().__init__(sentences)
@@ -59,6 +65,13 @@ class Assumptions(list[str]):
         """Add a `sentence` about one `sheet` or about all.
 
         A sentence about several sheets takes one line.
+
+        Parameters
+        ----------
+        sentence : str
+            The sentence.
+        sheet : str
+            Name of the sheet; '' for all.
         """
         if not sheet:
             if sentence not in self:
@@ -92,7 +105,18 @@ class Sheet:
         return str(self.source) if self.name == self.source.stem else f'{self.source}[{self.name}]'
 
     def numbers(self, column: int) -> np.ndarray:
-        """Return a `column` as floats (n,), NaN for blank cells; InputError for text."""
+        """Return a `column` as floats (n,), NaN for blank cells; InputError for text.
+
+        Parameters
+        ----------
+        column : int
+            Number of the column.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Numbers.
+        """
         values = np.empty(len(self.rows))
         for i, row in enumerate(self.rows):
             value = _number(row[column])
@@ -105,7 +129,18 @@ class Sheet:
         return values
 
     def witness(self, column: int) -> np.ndarray:
-        """Return a `column` as floats (n,), NaN for everything else."""
+        """Return a `column` as floats (n,), NaN for everything else.
+
+        Parameters
+        ----------
+        column : int
+            Number of the column.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Numbers.
+        """
         values = (_number(row[column]) for row in self.rows)
         return np.array([np.nan if value is None else value for value in values])
 
@@ -114,6 +149,16 @@ def read_sheets(path: Path) -> tuple[list[Sheet], list[str]]:
     """Read all sheets of a spreadsheet, a text file, or a folder of text files at `path`.
 
     Sentences on assumptions are returned too.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+
+    Returns
+    -------
+    tuple[list of Sheet, list of str]
+        The sheets and the sentences.
     """
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in _TEXTS)

@@ -42,7 +42,13 @@ class Stated(Settings):
         return columns
 
     def answers(self) -> Answers:
-        """Return the same in SI, for `import_session`."""
+        """Return the same in SI, for `import_session`.
+
+        Returns
+        -------
+        Answers
+            The answers.
+        """
         def suffix(unit: str | None) -> str | None:
             return unit and f'_{unit}'
 

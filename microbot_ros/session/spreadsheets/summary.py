@@ -23,6 +23,16 @@ def summary_of(parts: Sequence[tuple[Sheet, list[Column]]]) -> str:
 
     `parts` are the sheets with their known columns. A summary has a column of commands, such as a
     frequency, whose values do not repeat, and columns of averages.
+
+    Parameters
+    ----------
+    parts : sequence of tuple[Sheet, list of Column]
+        The sheets with their columns.
+
+    Returns
+    -------
+    str
+        The sentence, or ''.
     """
     for sheet, columns in parts:
         against = next((c for c in columns if c.role in ('frequency', 'bx', 'direction')), None)

@@ -69,7 +69,18 @@ class SessionFile(Settings):
         return height
 
     def conditions(self, rolling: bool) -> Conditions:
-        """Return the conditions in SI; `rolling` commands replace a missing propulsion."""
+        """Return the conditions in SI; `rolling` commands replace a missing propulsion.
+
+        Parameters
+        ----------
+        rolling : bool
+            Whether the commands are those of rollers.
+
+        Returns
+        -------
+        Conditions
+            The conditions.
+        """
         values = {
             name: exact_si(key, value)
             for name, key in _SUFFIXED.items() if (value := getattr(self, key)) is not None
@@ -86,7 +97,18 @@ class SessionFile(Settings):
 
 
 def session_text(session: Session) -> str:
-    """Return the content of `session.yaml` for a `session`."""
+    """Return the content of `session.yaml` for a `session`.
+
+    Parameters
+    ----------
+    session : Session
+        The session.
+
+    Returns
+    -------
+    str
+        YAML.
+    """
     conditions = session.conditions
     content: dict[str, object] = {'propulsion': conditions.propulsion}
     for name, key in _SUFFIXED.items():
@@ -105,6 +127,16 @@ def read_folder(path: Path) -> Session:
     Raises InputError (file, line, expectation) for wrong columns, text instead of numbers, times
     that go back, a particle twice at one time, and commands that begin after the tracks have
     ended.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+
+    Returns
+    -------
+    Session
+        The session.
     """
     if not (path / 'tracks.csv').is_file():
         inside = [item.name for item in sorted(path.iterdir()) if any(item.glob('*.mcap'))]
@@ -133,6 +165,13 @@ def write_folder(path: Path, session: Session) -> None:
 
     `read_folder` restores the numbers bit for bit, except for the components of a rolling field,
     which pass through its direction.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+    session : Session
+        The session.
     """
     tracks, commands = session.tracks, session.commands
     measured = {'t_s': tracks.t, 'x_um': tracks.position[:, 0], 'y_um': tracks.position[:, 1]}

@@ -19,6 +19,13 @@ def check_session(path: Path, session: Session) -> None:
     """Raise InputError naming `path` and the first implausible number of a `session`.
 
     NaN, for unknown values, is allowed.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+    session : Session
+        The session.
     """
     tracks, commands = session.tracks, session.commands
     numbers = {

@@ -44,7 +44,15 @@ class Table:
     lines: np.ndarray
 
     def refuse(self, bad: np.ndarray, expected: str) -> None:
-        """Raise InputError with `expected` at the first row where `bad` (rows,) is true."""
+        """Raise InputError with `expected` at the first row where `bad` (rows,) is true.
+
+        Parameters
+        ----------
+        bad : ndarray, shape (rows,)
+            Whether each row is wrong.
+        expected : str
+            What was expected.
+        """
         if bad.any():
             raise InputError(self.path, expected, int(self.lines[np.argmax(bad)]))
 
@@ -54,6 +62,18 @@ def read_table(path: Path, *layouts: Layout) -> Table:
 
     Raises InputError with file, line and expectation if it is missing, empty, not text, or holds
     anything but plausible numbers under the names of a layout.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+    *layouts : Layout
+        The layouts.
+
+    Returns
+    -------
+    Table
+        The table.
     """
     try:
         text = path.read_text(encoding='utf-8-sig')
@@ -83,14 +103,35 @@ def read_table(path: Path, *layouts: Layout) -> Table:
 
 
 def write_table(path: Path, columns: dict[str, np.ndarray]) -> None:
-    """Write `columns` in SI as a CSV file `path` in the units of their names; NaN is empty."""
+    """Write `columns` in SI as a CSV file `path` in the units of their names; NaN is empty.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+    columns : dict of str to ndarray
+        Values in SI by name.
+    """
     texts = [[to_text(value, name) for value in columns[name].tolist()] for name in columns]
     rows = (','.join(row) for row in zip(*texts, strict=True))
     path.write_text('\n'.join([','.join(columns), *rows, '']), encoding='utf-8')
 
 
 def to_text(value: float, name: str) -> str:
-    """Return an SI `value` as decimal text in the unit of its `name`; '' for NaN, else exact."""
+    """Return an SI `value` as decimal text in the unit of its `name`; '' for NaN, else exact.
+
+    Parameters
+    ----------
+    value : float
+        Value in SI.
+    name : str
+        Name of the column.
+
+    Returns
+    -------
+    str
+        The text.
+    """
     if math.isnan(value):
         return ''
     if isinstance(value, int):

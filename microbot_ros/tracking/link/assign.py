@@ -59,6 +59,11 @@ def assign(
         Standard deviation of the traits from frame to frame.
     stranger : float
         Likelihood [1/px²] that a particle is missed and a new one appears instead.
+
+    Returns
+    -------
+    Pairs
+        The pairs.
     """
     limit = -math.log(stranger)
     track, detection, cost, alone = _pairs(

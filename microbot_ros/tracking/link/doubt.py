@@ -20,7 +20,15 @@ _SURE = 0.05
 
 
 def note_doubt(states: TrackStates, pairs: Pairs) -> None:
-    """Record in `states` which of the `pairs`, whose tracks are rows of it, may be wrong."""
+    """Record in `states` which of the `pairs`, whose tracks are rows of it, may be wrong.
+
+    Parameters
+    ----------
+    states : TrackStates
+        States of the particles.
+    pairs : Pairs
+        The pairs.
+    """
     new = (pairs.doubt > _SURE) & (states.id[pairs.track] != UNNAMED)
     rows = pairs.track[new]
     states.doubt[rows] = np.maximum(states.doubt[rows], pairs.doubt[new])
@@ -32,6 +40,15 @@ def grow_doubt(states: TrackStates, frames: float, motion: Motion) -> None:
     """Increase the uncertainty of particles in doubt after `frames` intervals, by their `motion`.
 
     A swapped particle moved independently since: ⟨r²⟩ = S t + V t² per coordinate.
+
+    Parameters
+    ----------
+    states : TrackStates
+        States of the particles.
+    frames : float
+        Number of intervals that have passed.
+    motion : Motion
+        Motion of the particles.
     """
     unsure = states.doubt > 0
     before = states.unsure[unsure]
@@ -44,6 +61,13 @@ def settle_doubt(states: TrackStates, patience: int) -> None:
     """Accept identities of visible particles that were in doubt for over `patience` frames.
 
     By then a controller that follows one has learned its behaviour anew.
+
+    Parameters
+    ----------
+    states : TrackStates
+        States of the particles.
+    patience : int
+        Number of frames.
     """
     settled = (states.unsure > patience) & (states.missed == 0)
     for value in (states.doubt, states.unsure, states.astray):
@@ -51,7 +75,18 @@ def settle_doubt(states: TrackStates, patience: int) -> None:
 
 
 def doubt_told(states: TrackStates) -> dict[str, str]:
-    """Return a sentence for each named particle in doubt: kind of remark → sentence."""
+    """Return a sentence for each named particle in doubt: kind of remark → sentence.
+
+    Parameters
+    ----------
+    states : TrackStates
+        States of the particles.
+
+    Returns
+    -------
+    dict of str to str
+        Sentence by kind of remark.
+    """
     return {f'doubt {name}': f'particle {name} may be two: it was lost, or met one like it'
             for name in states.id[(states.doubt > 0) & (states.id != UNNAMED)].tolist()}
 
@@ -60,6 +95,16 @@ def together(sentences: Iterable[str]) -> dict[str, list[int]]:
     """Merge `sentences` that say the same of several particles, in order.
 
     Returns the merged sentences, each with the positions of its sources, counted from 0.
+
+    Parameters
+    ----------
+    sentences : iterable of str
+        The sentences.
+
+    Returns
+    -------
+    dict of str to list of int
+        Positions by merged sentence.
     """
     said: dict[str, list[tuple[int, str]]] = {}
     for place, sentence in enumerate(sentences):

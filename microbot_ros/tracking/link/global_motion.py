@@ -29,6 +29,22 @@ def common_displacement(
     up to a quarter of the picture `size` (height, width) explains most of them. Found by vote:
     each pair of a particle and a detection proposes its offset; the offset with most others within
     the tolerance wins.
+
+    Parameters
+    ----------
+    expected : ndarray, shape (N, 2)
+        Predicted positions [px].
+    found : ndarray, shape (M, 2)
+        Detections [px].
+    tolerance : float
+        Distance [px] within which positions are equal.
+    size : tuple[int, int]
+        Height and width of the picture [px].
+
+    Returns
+    -------
+    ndarray, shape (2,), or None
+        Displacement [px], or None.
     """
     if len(expected) < _LEAST or len(found) < _LEAST:
         return None
@@ -59,6 +75,22 @@ def common_shake(
 
     `found` (M, 2) [px] are the detections. Offsets within `tolerance` [px] count as equal; the
     vote is that of a jump. None if there are few or they differ.
+
+    Parameters
+    ----------
+    expected : ndarray, shape (N, 2)
+        Predicted positions [px].
+    found : ndarray, shape (M, 2)
+        Detections [px].
+    reach : float
+        Largest displacement [px].
+    tolerance : float
+        Distance [px] within which positions are equal.
+
+    Returns
+    -------
+    ndarray, shape (2,), or None
+        Displacement [px], or None.
     """
     if len(expected) < _FEW or len(found) < _FEW:
         return None

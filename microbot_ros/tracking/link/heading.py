@@ -21,6 +21,15 @@ def orient(states: TrackStates, rows: np.ndarray, step: np.ndarray) -> None:
     An axis never turns by more than a quarter between frames; the front is the direction of
     average motion, `step` (K, 2) [px] being the last displacement. The tail corresponds to the cap
     of a sphere: behind. θ is between 0 and 2π.
+
+    Parameters
+    ----------
+    states : TrackStates
+        States of the particles.
+    rows : ndarray, shape (K,)
+        Rows of the particles.
+    step : ndarray, shape (K, 2)
+        Last displacements [px].
     """
     theta, before = states.theta[rows], states.tail[rows]
     theta = np.where(np.cos(theta - before) < 0, theta + math.pi, theta)

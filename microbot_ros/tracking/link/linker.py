@@ -60,6 +60,15 @@ class Linker:
     A particle that is missed for more than `coast_frames` is dropped, but remembered: see `Lost`.
     `settings` and `appearance` describe the particles; `size` is height and width of the pictures
     [px].
+
+    Parameters
+    ----------
+    settings : TrackerSettings
+        Settings of the tracker.
+    appearance : Appearance
+        The learned picture.
+    size : tuple[int, int]
+        Height and width of the pictures [px].
     """
 
     def __init__(
@@ -84,7 +93,15 @@ class Linker:
         """Particles that received their identities in the last frame."""
 
     def look_for(self, settings: TrackerSettings, appearance: Appearance) -> None:
-        """Continue with other `settings` and particles of another `appearance`."""
+        """Continue with other `settings` and particles of another `appearance`.
+
+        Parameters
+        ----------
+        settings : TrackerSettings
+            Settings of the tracker.
+        appearance : Appearance
+            The learned picture.
+        """
         self._diameter = appearance.diameter_px
         self._settings = settings
         # The fit separates round particles that touch; outlines merge.
@@ -94,7 +111,13 @@ class Linker:
         self.max_step_px = settings.max_step_px or appearance.diameter_px
 
     def renumber_kinds(self, numbers: np.ndarray) -> None:
-        """Renumber kind k as `numbers`[k]; −1 drops the kind and its particles."""
+        """Renumber kind k as `numbers`[k]; −1 drops the kind and its particles.
+
+        Parameters
+        ----------
+        numbers : ndarray
+            New number of each kind; −1 to drop it.
+        """
         self.states = _renumbered(self.states, numbers)
         self._lost.states = _renumbered(self._lost.states, numbers)
 
@@ -110,7 +133,15 @@ class Linker:
         return doubt_told(self.states)
 
     def predict(self, dt: float, drive: complex) -> None:
-        """Predict all particles `dt` [s] ahead, under a `drive` integrated over that time."""
+        """Predict all particles `dt` [s] ahead, under a `drive` integrated over that time.
+
+        Parameters
+        ----------
+        dt : float
+            Time ahead [s].
+        drive : complex
+            Drive, complex, integrated over that time.
+        """
         self._interval = dt if self._interval is None else 0.95 * self._interval + 0.05 * dt
         everybody = self.states, self._lost.states
         if abs(drive) / dt > 1.01 * self._drive_rate:
@@ -131,13 +162,25 @@ class Linker:
         return (self.max_step_px / 4 / (self._drive_rate * self._interval)) ** 2
 
     def expected(self) -> np.ndarray:
-        """Return positions (M, 2) [px] at which named particles are to be searched."""
+        """Return positions (M, 2) [px] at which named particles are to be searched.
+
+        Returns
+        -------
+        ndarray, shape (M, 2)
+            Positions [px].
+        """
         states = self.states
         near = (states.id != UNNAMED) & (states.missed < _EXPECTED_FOR)
         return states.xy[near]
 
     def update(self, found: Detections) -> None:
-        """Assign each detection `found` to an old or a new particle; drop those long missed."""
+        """Assign each detection `found` to an old or a new particle; drop those long missed.
+
+        Parameters
+        ----------
+        found : Detections
+            The detections.
+        """
         states = self.states
         offset = self._jumped(found)
         found, noise = self._doubted(found)

@@ -15,7 +15,17 @@ _OTHER_KIND = 0.9
 
 @numba.njit(cache=True)
 def looks(contrast, radius, kind):  # type: ignore[no-untyped-def]
-    """Return traits (N, 3): logarithms of `contrast` and `radius`, and weighted `kind`."""
+    """Return traits (N, 3): logarithms of `contrast` and `radius`, and weighted `kind`.
+
+    Parameters
+    ----------
+    contrast : ndarray, shape (N,)
+        Contrasts [grey].
+    radius : ndarray, shape (N,)
+        Radii [px].
+    kind : ndarray, shape (N,)
+        Numbers of the kinds.
+    """
     traits = np.empty((len(contrast), 3))
     traits[:, 0], traits[:, 1] = np.log(contrast), np.log(radius)
     traits[:, 2] = _OTHER_KIND * kind

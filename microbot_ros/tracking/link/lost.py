@@ -19,6 +19,11 @@ class Lost:
 
     The region grows by the particle's motion; a particle is forgotten when a stranger is as likely
     anywhere in it. `states` are those remembered, `nobody` the empty start.
+
+    Parameters
+    ----------
+    nobody : TrackStates
+        States of no particle.
     """
 
     def __init__(self, nobody: TrackStates) -> None:
@@ -28,6 +33,13 @@ class Lost:
         """Forget particles that cannot be recognised any more or have left the picture.
 
         `size` is (height, width); `strangers` [1/px²] appear per frame.
+
+        Parameters
+        ----------
+        strangers : float
+            New particles per frame and area [1/px²].
+        size : tuple[int, int]
+            Height and width of the pictures [px].
         """
         states = self.states
         x, y = states.xy.T
@@ -40,6 +52,18 @@ class Lost:
         """Match the remembered particles with `fresh` ones, against `strangers`.
 
         `strangers` [1/px²] appear per frame.
+
+        Parameters
+        ----------
+        fresh : TrackStates
+            States of new particles.
+        strangers : float
+            New particles per frame and area [1/px²].
+
+        Returns
+        -------
+        Pairs
+            The pairs.
         """
         states = self.states
         return assign(

@@ -27,6 +27,11 @@ class Motion:
     J. Berglund, Physical Review E 82, 011917, 2010, with a velocity added). Both follow from two
     averages, so that Brownian spheres and swimmers need no setting. `diameter_px` of the particles
     sets the prior.
+
+    Parameters
+    ----------
+    diameter_px : float
+        Diameter of the particles [px].
     """
 
     def __init__(self, diameter_px: float) -> None:
@@ -37,7 +42,17 @@ class Motion:
         self._least = (0.02 * diameter_px) ** 2
 
     def learn(self, step: np.ndarray, previous: np.ndarray, sigma: np.ndarray) -> None:
-        """Add displacements `step` (N, 2) [px], those of the `previous` frame, and `sigma`."""
+        """Add displacements `step` (N, 2) [px], those of the `previous` frame, and `sigma`.
+
+        Parameters
+        ----------
+        step : ndarray, shape (N, 2)
+            Displacements [px].
+        previous : ndarray, shape (N, 2)
+            Displacements of the frame before [px].
+        sigma : ndarray, shape (N,)
+            Standard deviations of the positions [px].
+        """
         if len(step) == 0:
             return
         # Limit long steps to three usual ones, so that one wrong link does not widen the gate.
@@ -59,7 +74,18 @@ class Motion:
         return max(self._same - self.velocity_step - 2 * self._noise, self._least)
 
     def keep(self, frames: float) -> float:
-        """Return the share of a velocity that persists over `frames` usual intervals."""
+        """Return the share of a velocity that persists over `frames` usual intervals.
+
+        Parameters
+        ----------
+        frames : float
+            Number of usual intervals.
+
+        Returns
+        -------
+        float
+            The share.
+        """
         return math.exp(-frames / _PERSISTENCE)
 
 

@@ -90,22 +90,61 @@ class TrackStates:
         return planar(self.motion[:, PLACE])
 
     def velocity(self, drive_rate: complex) -> np.ndarray:
-        """Return velocities (N, 2) [px/s] under a drive of `drive_rate` per second."""
+        """Return velocities (N, 2) [px/s] under a drive of `drive_rate` per second.
+
+        Parameters
+        ----------
+        drive_rate : complex
+            Drive per second, complex.
+
+        Returns
+        -------
+        ndarray, shape (N, 2)
+            Velocities [px/s].
+        """
         return planar(self.motion[:, VELOCITY] + drive_rate * self.motion[:, VELOCITY_PHASOR])
 
     def take(self, rows: np.ndarray) -> TrackStates:
-        """Return the particles of `rows`, numbers or a mask."""
+        """Return the particles of `rows`, numbers or a mask.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Row numbers (K,), or a mask (N,).
+
+        Returns
+        -------
+        TrackStates
+            States of these.
+        """
         return TrackStates(*(getattr(self, part.name)[rows] for part in fields(self)))
 
     def join(self, other: TrackStates) -> TrackStates:
-        """Return these particles and those of `other`."""
+        """Return these particles and those of `other`.
+
+        Parameters
+        ----------
+        other : TrackStates
+            The other particles.
+
+        Returns
+        -------
+        TrackStates
+            States of all.
+        """
         return TrackStates(*(
             np.concatenate([getattr(self, part.name), getattr(other, part.name)])
             for part in fields(self)
         ))
 
     def forget_velocity_phasor(self, variance: float) -> None:
-        """Reset the velocity phasors to zero with this `variance`."""
+        """Reset the velocity phasors to zero with this `variance`.
+
+        Parameters
+        ----------
+        variance : float
+            Variance of an unknown velocity phasor.
+        """
         self.motion[:, VELOCITY_PHASOR] = 0.0
         self.covariance[:, VELOCITY_PHASOR] = self.covariance[:, :, VELOCITY_PHASOR] = 0.0
         self.covariance[:, VELOCITY_PHASOR, VELOCITY_PHASOR] = variance
@@ -115,6 +154,19 @@ class TrackStates:
         """Predict all particles `dt` [s] ahead under `drive`; `interval` [s] is the usual one.
 
         `motion` gives the random steps; `phasor_variance` is that of an unknown velocity phasor.
+
+        Parameters
+        ----------
+        dt : float
+            Time ahead [s].
+        interval : float
+            Usual time between frames [s].
+        drive : complex
+            Drive, complex, integrated over that time.
+        motion : Motion
+            Motion of the particles.
+        phasor_variance : float
+            Variance of an unknown velocity phasor.
         """
         frames = dt / interval
         keep = motion.keep(frames)
@@ -127,11 +179,28 @@ class TrackStates:
         """Apply a Kalman update to `rows` (K,) by places `found` (K, 2) of variance `noise` (K,).
 
         Joseph's form, since the short form accumulates rounding errors of the covariance.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (K,)
+            Rows of the particles.
+        found : ndarray, shape (K, 2)
+            Measured places [px].
+        noise : ndarray, shape (K,)
+            Variance of each [px²].
         """
         _correct(self.motion, self.covariance, rows, found, noise)
 
     def keep_within(self, rows: np.ndarray, middle: np.ndarray) -> None:
-        """Move `rows` (K,) back into their outlines about `middle` (K, 2) [px]."""
+        """Move `rows` (K,) back into their outlines about `middle` (K, 2) [px].
+
+        Parameters
+        ----------
+        rows : ndarray, shape (K,)
+            Rows of the particles.
+        middle : ndarray, shape (K, 2)
+            Middles of the outlines [px].
+        """
         behind = self.motion[rows, PLACE] - phasor(middle)
         away = np.maximum(np.abs(behind), 1e-9)
         self.motion[rows, PLACE] -= behind * np.maximum(1 - self.outline[rows] / away, 0)
@@ -197,6 +266,11 @@ def initiate_tracks(
         Variances of what is not known yet.
     early_frames : int
         Measurements to be kept.
+
+    Returns
+    -------
+    TrackStates
+        The states.
     """
     count = len(xy)
     early = np.full((count, early_frames, 2), np.nan)
@@ -217,11 +291,33 @@ def initiate_tracks(
 
 
 def phasor(xy: np.ndarray) -> np.ndarray:
-    """Convert vectors `xy` (..., 2) to complex x + iy (...)."""
+    """Convert vectors `xy` (..., 2) to complex x + iy (...).
+
+    Parameters
+    ----------
+    xy : ndarray, shape (..., 2)
+        Vectors.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Complex numbers.
+    """
     return xy[..., 0] + 1j * xy[..., 1]
 
 
 def planar(z: np.ndarray) -> np.ndarray:
-    """Convert complex `z` = x + iy (...) to vectors (..., 2)."""
+    """Convert complex `z` = x + iy (...) to vectors (..., 2).
+
+    Parameters
+    ----------
+    z : ndarray
+        Complex numbers, of any shape.
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        Vectors.
+    """
     parts: np.ndarray = np.ascontiguousarray(z).view(float).reshape(*z.shape, 2)
     return parts

@@ -87,6 +87,22 @@ def contrast(image: np.ndarray, shrink: int, widest_px: float, dark: bool) -> np
 
     Positive where darker if `dark`, else where brighter. The illumination is the median over a
     neighbourhood in which a body of `widest_px` is the smaller part.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        The picture.
+    shrink : int
+        Factor by which the picture is shrunk.
+    widest_px : float
+        Largest width of a body [px].
+    dark : bool
+        Whether bodies are darker than the illumination.
+
+    Returns
+    -------
+    ndarray
+        Contrast, float32 [grey].
     """
     import cv2
 
@@ -128,6 +144,11 @@ def find_bodies(
     known : (M, 2) array [px], optional
         Expected bodies. Several in one outline, each with a maximum of its own, are parted at the
         neck; one that touches a higher body is not part of that body.
+
+    Returns
+    -------
+    Bodies
+        The bodies.
     """
     import cv2
 

@@ -31,6 +31,18 @@ def burnt_in(frames: Sequence[np.ndarray], kinds: Sequence[Kind]) -> tuple[Place
 
     `kinds` are those searched. A resting robot stands as still, but has the sensor's noise, which
     differs between pictures. Empty for too few pictures or too little noise.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray
+        Pictures (H, W).
+    kinds : sequence of Kind
+        The kinds.
+
+    Returns
+    -------
+    tuple of Place
+        The places.
     """
     if len(frames) < LEAST_FRAMES:
         return ()

@@ -46,6 +46,18 @@ def weighted(picture: np.ndarray, weights: Weights) -> np.ndarray:
 
     Their absolute values count as shares; the middle of the scale stays. Raises InputError for a
     picture without colours.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (H, W, 3)
+        The picture, or (H, W, 4).
+    weights : Weights
+        Weights of the colours.
+
+    Returns
+    -------
+    ndarray, shape (H, W)
+        Grey values.
     """
     import cv2
 
@@ -65,6 +77,16 @@ def telling_weights(spots: Sequence[Spot]) -> tuple[Weights, float] | None:
     They separate the spots from the light around and, for different kinds, from each other, in
     standard deviations of all pixels, so that other objects are suppressed. None if brightness
     does as well, to a factor of two.
+
+    Parameters
+    ----------
+    spots : sequence of Spot
+        The spots.
+
+    Returns
+    -------
+    tuple[Weights, float] or None
+        Weights and gain, or None.
     """
     apart = [np.empty((0, 3))]
     scatter = np.eye(3) / 12  # variance of rounding

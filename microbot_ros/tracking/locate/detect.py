@@ -26,7 +26,7 @@ from microbot_ros.tracking.refine.lookup_fit import LookupFit
 from microbot_ros.tracking.refine.neighbours import doubled
 from microbot_ros.tracking.settings import TrackerSettings
 
-_NONE = np.empty((0, 3))
+_NONE = np.empty((0, 3))  # no positions
 _ITERATIONS, _SWEEPS = 3, 6  # choices: Gauss–Newton steps of a particle; turns among neighbours
 
 _CLOSEST = 0.4
@@ -90,6 +90,13 @@ class RoundDetector:
 
     `appearance` is that picture; `settings` hold the thresholds. `remark` describes problems of
     the last picture, '' if there are none.
+
+    Parameters
+    ----------
+    appearance : Appearance
+        The learned picture.
+    settings : TrackerSettings
+        Settings of the tracker.
     """
 
     def __init__(self, appearance: Appearance, settings: TrackerSettings) -> None:
@@ -111,6 +118,18 @@ class RoundDetector:
         `expected` (M, 2) [px] are predicted positions. If there are fewer peaks than expected
         particles, the fit also starts from the expectations, so that touching particles are
         separated.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        expected : ndarray, shape (M, 2)
+            Predicted positions [px].
+
+        Returns
+        -------
+        Detections
+            The detections.
         """
         peaks = self._filter.candidates(
             image, self._settings.min_detection_sigma, 0.7 * self.appearance.min_contrast_grey)

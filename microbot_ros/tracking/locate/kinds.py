@@ -25,8 +25,11 @@ TRAITS = ('height_grey', 'width_px', 'edge_px', 'elongation', 'fill', 'halo')
 _LOGARITHMIC = np.array([True, True, True, True, False, False])
 
 _BELOW = np.array([math.log(1 / 0.45), math.log(2.6), math.log(3.0), math.inf, 0.25, math.inf])
+"""Choice, per trait: how far a range extends below one example; in logarithms where
+`_LOGARITHMIC`."""
 _ABOVE = np.array([math.log(2.2), math.log(3.0), math.log(1.65), math.log(2.2), math.inf, 0.09])
-"""In logarithms where `_LOGARITHMIC`."""
+"""Choice, per trait: how far a range extends above one example; in logarithms where
+`_LOGARITHMIC`."""
 
 _LENIENT = np.array([math.log(1.7), math.log(1.3), math.log(1.5), math.log(1.5), 0.15, math.inf])
 """Choice: extra margin for a body where one of its kind is expected."""
@@ -91,6 +94,18 @@ class Kind(Settings):
 
         A body cut by the edge of the picture does not show its shape: it counts only where
         expected.
+
+        Parameters
+        ----------
+        bodies : Bodies
+            The N bodies.
+        lenient : ndarray, shape (N,)
+            Whether one is expected there.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Whether each is.
         """
         values, ends = scaled(traits(bodies)), self.ranges
         slack = np.where(lenient[:, None], _LENIENT, 0.0)
@@ -115,20 +130,53 @@ class Kind(Settings):
         return np.asarray(np.sqrt(np.sum(beyond**2, axis=1)))
 
     def strangeness(self, bodies: Bodies) -> np.ndarray:
-        """Return the distance (N,) of `bodies` from typical, in units of one example's margins."""
+        """Return the distance (N,) of `bodies` from typical, in units of one example's margins.
+
+        Parameters
+        ----------
+        bodies : Bodies
+            The N bodies.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Distances.
+        """
         reach = np.where(np.isfinite(_ABOVE), _ABOVE, _BELOW)
         off = (scaled(traits(bodies)) - self.typical) / reach
         return np.asarray(np.sqrt(np.mean(off**2, axis=1)))
 
 
 def traits(bodies: Bodies) -> np.ndarray:
-    """Return the traits (N, 6) of `bodies`, in order of `TRAITS`."""
+    """Return the traits (N, 6) of `bodies`, in order of `TRAITS`.
+
+    Parameters
+    ----------
+    bodies : Bodies
+        The N bodies.
+
+    Returns
+    -------
+    ndarray, shape (N, 6)
+        Traits.
+    """
     return np.column_stack([
         bodies.height, bodies.width, bodies.edge, bodies.length, bodies.fill, bodies.halo])
 
 
 def scaled(values: np.ndarray) -> np.ndarray:
-    """Return `values` (N, 6) of traits with the logarithm where ratios count."""
+    """Return `values` (N, 6) of traits with the logarithm where ratios count.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N, 6)
+        Traits.
+
+    Returns
+    -------
+    ndarray, shape (N, 6)
+        Scaled traits.
+    """
     with np.errstate(divide='ignore', invalid='ignore'):
         return np.where(_LOGARITHMIC, np.log(np.maximum(values, 1e-9)), values)
 
@@ -140,6 +188,22 @@ def with_examples(
 
     `clutter` [grey] is the usual contrast of opposite sign in the picture, which may lie beside
     any body. Raises InputError if a counter-example cannot be told from the examples.
+
+    Parameters
+    ----------
+    kind : Kind
+        The kind.
+    like : sequence of Traits
+        Examples.
+    unlike : sequence of Traits
+        Counter-examples.
+    clutter : float
+        Usual contrast of opposite sign [grey].
+
+    Returns
+    -------
+    Kind
+        The kind.
     """
     examples = scaled(np.array(like, float))
     open_still = 0.5 + 0.5 / len(like)

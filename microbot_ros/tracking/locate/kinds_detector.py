@@ -37,6 +37,13 @@ class KindsDetector:
 
     Nothing is found at the `standing` places. `remark` describes problems of the last picture, ''
     if there are none.
+
+    Parameters
+    ----------
+    kinds : sequence of Kind
+        The kinds.
+    standing : sequence of Place
+        Places at which nothing is found.
     """
 
     def __init__(self, kinds: Sequence[Kind], standing: Sequence[Place] = ()) -> None:
@@ -52,6 +59,18 @@ class KindsDetector:
         """Return all bodies of these kinds in `image` (H, W).
 
         A body near an `expected` position (M, 2) [px] may look less like its kind.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        expected : ndarray, shape (M, 2)
+            Predicted positions [px].
+
+        Returns
+        -------
+        Detections
+            The detections.
         """
         noise = pixel_noise(image)
         found = [self._look(image, expected, noise, *look) for look in self._looks]
@@ -130,7 +149,18 @@ def _apart(found: Detections, strange: np.ndarray) -> np.ndarray:
 
 
 def stand_in(kinds: Sequence[Kind]) -> Appearance:
-    """Return usual size and contrast of `kinds` as an appearance, for linking and drawing."""
+    """Return usual size and contrast of `kinds` as an appearance, for linking and drawing.
+
+    Parameters
+    ----------
+    kinds : sequence of Kind
+        The kinds.
+
+    Returns
+    -------
+    Appearance
+        The appearance.
+    """
     width = float(np.median([kind.typical_width_px for kind in kinds]))
     height = float(np.median([np.exp(kind.typical[0]) for kind in kinds]))
     radii = np.arange(0, width, TABLE_STEP)

@@ -54,6 +54,11 @@ class MatchedFilter:
     applied as a few separable filters (its singular vectors) to a picture shrunk as far as that
     still shows the particle, wherever it lies between the coarse pixels. `appearance` is the
     learned picture.
+
+    Parameters
+    ----------
+    appearance : Appearance
+        The learned picture.
     """
 
     def __init__(self, appearance: Appearance) -> None:
@@ -85,6 +90,20 @@ class MatchedFilter:
 
         Maxima count from `least_sigma` standard deviations of the response and `least_contrast`
         [grey].
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        least_sigma : float
+            Least response, in standard deviations of the response.
+        least_contrast : float
+            Least contrast [grey].
+
+        Returns
+        -------
+        ndarray, shape (N, 3)
+            Column [px], row [px] and contrast [grey].
         """
         shape = (image.shape[0] // self.shrink, image.shape[1] // self.shrink)
         # Buffers are reused: fresh memory for each frame costs as much as the filters.

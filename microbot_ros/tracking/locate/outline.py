@@ -34,6 +34,7 @@ _LEAST_SIGMA = 1e-3
 """Choice: least error [px] of a centroid, even in a noiseless picture."""
 
 _COUNT, _CORE, _WEIGHT, _WX, _WY, _WXX, _WYY, _WXY, _EDGE_X, _EDGE_Y, _PEAK = range(11)
+"""Indices of the sums of a region."""
 
 
 class OutlineDetector:
@@ -42,6 +43,13 @@ class OutlineDetector:
     The position is the centroid of the contrast, capped at the typical one: fully dark pixels
     count fully, edge pixels in part, so that the position is sub-pixel. Defocused debris has no
     core, specks are too small, hairs too long. `appearance` and `settings` as in `RoundDetector`.
+
+    Parameters
+    ----------
+    appearance : Appearance
+        The learned picture.
+    settings : TrackerSettings
+        Settings of the tracker.
     """
 
     def __init__(self, appearance: Appearance, settings: TrackerSettings) -> None:
@@ -58,6 +66,18 @@ class OutlineDetector:
 
         Particles near `expected` positions (M, 2) [px] need not be as sharp and as large as new
         ones, so that a particle at the limit does not come and go.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        expected : ndarray, shape (M, 2)
+            Predicted positions [px].
+
+        Returns
+        -------
+        Detections
+            The detections.
         """
         sums = self._regions(image)
         good = self._good(sums, 1.0)
@@ -120,6 +140,16 @@ class OutlineDetector:
         """Return how far the particles of an `image` are from equal discs; 0 if there are none.
 
         The spread of ln(diameter) or the typical ln(length/width), whichever is larger.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+
+        Returns
+        -------
+        float
+            The irregularity.
         """
         sums = self._regions(image)
         good = self._good(sums, 1.0)

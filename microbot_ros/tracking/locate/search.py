@@ -18,6 +18,18 @@ def block_mean(image: np.ndarray, size: int) -> np.ndarray:
     """Return means (H // `size`, W // `size`) float32 of an `image` over square blocks.
 
     Incomplete blocks are left out.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        The picture.
+    size : int
+        Side of a block [px].
+
+    Returns
+    -------
+    ndarray
+        Means, float32 [grey].
     """
     mean = np.empty((image.shape[0] // size, image.shape[1] // size), np.float32)
     block_mean_into(mean, image, size, 0)
@@ -26,7 +38,19 @@ def block_mean(image: np.ndarray, size: int) -> np.ndarray:
 
 @numba.njit(cache=True, fastmath=FAST)
 def block_mean_into(mean, image, size, pad):  # type: ignore[no-untyped-def]
-    """Write `block_mean` of an `image`, blocks of `size` px, to `mean` with a margin `pad`."""
+    """Write `block_mean` of an `image`, blocks of `size` px, to `mean` with a margin `pad`.
+
+    Parameters
+    ----------
+    mean
+        Array that receives the means.
+    image : ndarray, shape (H, W)
+        The picture.
+    size
+        Side of a block [px].
+    pad
+        Margin of `mean`, in blocks.
+    """
     scale = np.float32(1.0 / (size * size))
     # Unsigned indices cannot wrap around, which lets the compiler vectorise.
     count, to = numba.uintp(mean.shape[1] - 2 * pad), numba.uintp(pad)
@@ -65,6 +89,18 @@ def background(image: np.ndarray, spacing: int) -> np.ndarray:
 
     It is the median of 5×5 block means in cells of `spacing` px. A particle as wide as a cell
     covers at most a quarter of the cells of such a neighbourhood, so that the median ignores it.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        The picture.
+    spacing : int
+        Side of a cell [px].
+
+    Returns
+    -------
+    ndarray
+        Illumination of each cell [grey].
     """
     import cv2
 
@@ -78,6 +114,17 @@ def peaks(response, shrink, least, separation):  # type: ignore[no-untyped-def]
     """Return rows (N, 3) of x, y [px], value of the maxima of a `response` above `least`.
 
     A maximum is the highest value within ±`separation` cells of `shrink` px.
+
+    Parameters
+    ----------
+    response : ndarray, shape (h, w)
+        The response.
+    shrink
+        Size of a cell [px].
+    least
+        Least value.
+    separation
+        Half of the side of the neighbourhood, in cells.
     """
     found = []
     crest = np.empty(response.shape[1], np.uint8)
@@ -128,7 +175,18 @@ def _highest(response, x, y, separation):  # type: ignore[no-untyped-def]
 
 
 def spread(response: np.ndarray) -> float:
-    """Return the standard deviation of the noise of a `response`, from the median."""
+    """Return the standard deviation of the noise of a `response`, from the median.
+
+    Parameters
+    ----------
+    response : ndarray
+        The response.
+
+    Returns
+    -------
+    float
+        The standard deviation.
+    """
     sample = response[1::4, 1::4]
     middle = np.median(sample)
     return 1.4826 * float(np.median(np.abs(sample - middle)))
@@ -140,6 +198,11 @@ def pixel_noise(image):  # type: ignore[no-untyped-def]
 
     It uses second differences: variations slower than from pixel to pixel cancel (J. Immerkær,
     Computer Vision and Image Understanding 64, 300, 1996); the median excludes edges of particles.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        The picture.
     """
     rows, columns = max(1, image.shape[0] // 40), max(1, image.shape[1] // 40)
     middle = np.median(_second_differences(image, rows, columns))

@@ -45,7 +45,20 @@ class Place(Settings):
     radius_px: float = Field(gt=0, le=10_000, description='its radius [px]')
 
     def holds(self, x: float, y: float) -> bool:
-        """Return whether the point (`x`, `y`) [px] lies in it."""
+        """Return whether the point (`x`, `y`) [px] lies in it.
+
+        Parameters
+        ----------
+        x : float
+            Column [px].
+        y : float
+            Row [px].
+
+        Returns
+        -------
+        bool
+            Whether it does.
+        """
         return math.hypot(self.x_px - x, self.y_px - y) < self.radius_px
 
 
@@ -54,6 +67,18 @@ def standing(seen: list[Bodies], carried: bool = False) -> list[Place]:
 
     The spread of positions excludes objects that drift with the sample. If `carried`, these are
     included as long as they drift in a straight line and by less than their own width.
+
+    Parameters
+    ----------
+    seen : list of Bodies
+        Bodies of each picture.
+    carried : bool
+        Whether objects that drift with the sample count.
+
+    Returns
+    -------
+    list of Place
+        The places.
     """
     places: list[Place] = []
     # Objects hidden at the start may be visible in the middle.
@@ -76,6 +101,16 @@ def creeping(seen: list[Bodies]) -> list[Place]:
     `seen` are the bodies of the pictures. Gaps between living cells behave like this: they move
     with the cells, randomly and little from picture to picture, while a body that moves by itself
     leaves.
+
+    Parameters
+    ----------
+    seen : list of Bodies
+        Bodies of each picture.
+
+    Returns
+    -------
+    list of Place
+        The places.
     """
     places: list[Place] = []
     for first in (seen[0], seen[len(seen) // 2]):

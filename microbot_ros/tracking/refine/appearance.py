@@ -47,12 +47,31 @@ class Appearance:
         return bool(np.sum(self.table[0] * radius) < 0)
 
     def draw_round(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return f₀ at offsets (`u`, `v`) [px] from the centre."""
+        """Return f₀ at offsets (`u`, `v`) [px] from the centre.
+
+        Parameters
+        ----------
+        u : ndarray
+            Offsets along the columns, of any shape [px].
+        v : ndarray
+            Offsets along the rows, of the same shape [px].
+
+        Returns
+        -------
+        ndarray
+            Values of f₀, of the same shape.
+        """
         radii = np.arange(self.table.shape[1]) * TABLE_STEP
         return np.interp(np.hypot(u, v), radii, self.table[0], right=0.0)
 
     def describe(self) -> list[str]:
-        """Return sentences that describe the appearance."""
+        """Return sentences that describe the appearance.
+
+        Returns
+        -------
+        list of str
+            The sentences.
+        """
         kind = 'round' if self.round else 'of any shape, followed by their outline'
         cap = 'the cap shows' if self.capped else 'no cap shows'
         return [

@@ -14,6 +14,20 @@ def first_harmonic(pixels: Samples, rest: np.ndarray, basis: np.ndarray) -> np.n
     It is the leading direction of all particles' residuals, whichever way each one points.
     `pixels` have P samples, `rest` (P,) is their residual from the round picture, `basis` (P, K)
     the radial functions.
+
+    Parameters
+    ----------
+    pixels : Samples
+        Samples of pixels.
+    rest : ndarray, shape (P,)
+        Residuals.
+    basis : ndarray, shape (P, K)
+        Radial functions.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+        Coefficients.
     """
     total = np.zeros((basis.shape[1],) * 2)
     for k in range(pixels.owner.max() + 1):
@@ -36,6 +50,18 @@ def centre_shift(table: np.ndarray, reach_px: float) -> float:
     round picture: about the true centre there is no second harmonic. From a point s off the
     centre, f₂ is s/2·(f₁′ − f₁/r), so that part of f₂ gives s. `table` (3, K) holds f₀, f₁ and f₂
     in steps of `TABLE_STEP` px, used up to `reach_px`.
+
+    Parameters
+    ----------
+    table : ndarray, shape (3, K)
+        Profiles f₀, f₁ and f₂.
+    reach_px : float
+        Largest radius that is used [px].
+
+    Returns
+    -------
+    float
+        Distance [px].
     """
     radii = np.arange(table.shape[1]) * TABLE_STEP
     near = (radii > 1) & (radii < reach_px)

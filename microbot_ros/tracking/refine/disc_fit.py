@@ -53,6 +53,11 @@ def refine(
         disc's.
     noise : float
         Pixel noise [grey].
+
+    Returns
+    -------
+    tuple[ndarray, ndarray, ndarray]
+        Positions (N, 2) [px], σ (N,) [px] and whether each fits (N,).
     """
     return _refine(image, xy, radius, edge, height, length, cut, noise)
 

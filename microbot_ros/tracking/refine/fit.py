@@ -18,7 +18,7 @@ import numpy as np
 from microbot_ros.common.compiled import numba
 
 X, Y, CONTRAST, OFFSET, SIZE, THETA = range(6)
-PARAMETERS = 6
+PARAMETERS = 6  # their number
 
 TABLE_STEP = 1 / 16
 """Choice: spacing [px] of the profile tables; interpolation errs by 1e-4 of the contrast."""
@@ -62,6 +62,17 @@ def background_at(grid, spacing, x, y):  # type: ignore[no-untyped-def]
     """Return the background at a point `x`, `y` [px], bilinear between the centres of cells.
 
     `grid` (h, w) holds the background of each cell of `spacing` px.
+
+    Parameters
+    ----------
+    grid : ndarray, shape (h, w)
+        Background of each cell [grey].
+    spacing
+        Size of a cell [px].
+    x
+        Column [px].
+    y
+        Row [px].
     """
     gx = min(max((x + 0.5) / spacing - 0.5, 0.0), grid.shape[1] - 1.0)
     gy = min(max((y + 0.5) / spacing - 0.5, 0.0), grid.shape[0] - 1.0)
@@ -175,6 +186,11 @@ def invert(normal):  # type: ignore[no-untyped-def]
     """Invert a symmetric positive `normal` (n, n) in place, of which the lower half is read.
 
     Returns False, leaving it undefined, if the picture does not determine the parameters.
+
+    Parameters
+    ----------
+    normal : ndarray, shape (n, n)
+        The matrix.
     """
     factor = normal.copy()
     if not _factor(factor, len(normal)):
@@ -310,6 +326,17 @@ def background_of(grid, spacing, x, y):  # type: ignore[no-untyped-def]
     """Return the background at points `x`, `y` (N,) [px].
 
     `grid` and `spacing` as in `background_at`.
+
+    Parameters
+    ----------
+    grid : ndarray, shape (h, w)
+        Background of each cell [grey].
+    spacing
+        Size of a cell [px].
+    x : ndarray, shape (N,)
+        Columns [px].
+    y : ndarray, shape (N,)
+        Rows [px].
     """
     light = np.empty(len(x))
     for k in range(len(x)):

@@ -41,7 +41,7 @@ _SETTLED_AMONG_OTHERS = 0.04
 
 # Choices: most turns of a particle alone, cut by the edge, among others; longest step [px].
 _TURNS, _TURNS_CUT, _TURNS_AMONG_OTHERS = 2, 6, 6
-_LARGEST_CHANGE = 0.75
+_LARGEST_CHANGE = 0.75  # choice: longest step [px]; a longer one may leave the valley
 
 _LEAST_IN_VIEW = 0.4
 """Choice: share of the fitted disc that must lie in the picture."""
@@ -62,7 +62,13 @@ class _Tables(NamedTuple):
 
 
 class LookupFit:
-    """Pictures and their derivatives at every sub-pixel cell, for one `appearance`."""
+    """Pictures and their derivatives at every sub-pixel cell, for one `appearance`.
+
+    Parameters
+    ----------
+    appearance : Appearance
+        The learned picture.
+    """
 
     def __init__(self, appearance: Appearance) -> None:
         self._near = appearance.reach_px + 0.25 * appearance.diameter_px
@@ -84,6 +90,24 @@ class LookupFit:
         """Fit particles of an `image` in place.
 
         `grid`, `spacing`, `parameters`, `active` and the result are as in `fit.fit`.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        grid : ndarray, shape (h, w)
+            Background of each cell [grey].
+        spacing : int
+            Size of a cell [px].
+        parameters : ndarray, shape (N, 6)
+            Parameters of the particles, as in `fit.fit`.
+        active : ndarray, shape (N,)
+            Whether each is fitted.
+
+        Returns
+        -------
+        ndarray
+            As `fit.fit`.
         """
         return _fit(
             image, grid, spacing, parameters, active, self._near, self._settled, self._tables)

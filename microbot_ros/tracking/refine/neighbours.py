@@ -43,6 +43,13 @@ def neighbours(parameters, near):  # type: ignore[no-untyped-def]
     """Return the particles within `near` px of each: those of n are other[first[n]:first[n + 1]].
 
     `parameters` (N, 6) as in `fit.fit`.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (N, 6)
+        Parameters of the particles, as in `fit.fit`.
+    near
+        Distance [px].
     """
     pairs = _pairs(parameters, near)
     first = np.zeros(len(parameters) + 1, np.int64)
@@ -63,6 +70,15 @@ def doubled(rows, good, closest):  # type: ignore[no-untyped-def]
     """Return whether a good particle of higher contrast lies closer than `closest` px, (N,).
 
     `rows` (N, 6) as in `fit.fit`; `good` (N,).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (N, 6)
+        Parameters of the particles, as in `fit.fit`.
+    good : ndarray, shape (N,)
+        Whether each is good.
+    closest
+        Distance [px].
     """
     doubled = np.zeros(len(rows), np.bool_)
     for i, j in _pairs(rows, closest):
@@ -73,7 +89,17 @@ def doubled(rows, good, closest):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def count_within(places, others, distance):  # type: ignore[no-untyped-def]
-    """Return how many of `others` (M, 2) lie within `distance` of each of `places` (N, 2)."""
+    """Return how many of `others` (M, 2) lie within `distance` of each of `places` (N, 2).
+
+    Parameters
+    ----------
+    places : ndarray, shape (N, 2)
+        Places [px].
+    others : ndarray, shape (M, 2)
+        Other places [px].
+    distance
+        Distance [px].
+    """
     count = np.zeros(len(places), np.int64)
     for i in range(len(places)):
         for k in range(len(others)):

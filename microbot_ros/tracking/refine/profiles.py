@@ -38,6 +38,24 @@ def samples(
     """Return pixels of `frames` within `reach` [px] of particles, `parameters` (N, 6) per frame.
 
     `grids` hold the background of each frame in cells of `spacing` px.
+
+    Parameters
+    ----------
+    frames : list of ndarray
+        Pictures (H, W).
+    grids : list of ndarray
+        Background of each frame.
+    spacing : int
+        Size of a cell [px].
+    parameters : list of ndarray
+        Parameters (N, 6) of the particles in each frame.
+    reach : float
+        Largest distance [px].
+
+    Returns
+    -------
+    Samples
+        The samples.
     """
     parts: list[tuple[np.ndarray, ...]] = []
     span = int(reach)
@@ -62,6 +80,13 @@ class RadialBasis:
     """Cubic B-splines in r up to `reach` [px], with zero slope at r = 0.
 
     Profiles are tabulated at `radii` (K,) [px], in steps of `TABLE_STEP`.
+
+    Parameters
+    ----------
+    reach : float
+        Largest radius [px].
+    radii : ndarray, shape (K,)
+        Radii of the table [px].
     """
 
     def __init__(self, reach: float, radii: np.ndarray) -> None:
@@ -71,12 +96,34 @@ class RadialBasis:
         self._table = self._evaluate(radii)
 
     def at(self, r: np.ndarray) -> np.ndarray:
-        """Return values (P, K) at `r` (P,), to the nearest step of the table."""
+        """Return values (P, K) at `r` (P,), to the nearest step of the table.
+
+        Parameters
+        ----------
+        r : ndarray, shape (P,)
+            Radii [px].
+
+        Returns
+        -------
+        ndarray, shape (P, K)
+            Values.
+        """
         index = np.minimum((r / TABLE_STEP + 0.5).astype(int), len(self._radii) - 1)
         return self._table[index]
 
     def profile(self, coefficients: np.ndarray) -> np.ndarray:
-        """Return the profile of `coefficients` (splines,) at all radii, zero beyond the reach."""
+        """Return the profile of `coefficients` (splines,) at all radii, zero beyond the reach.
+
+        Parameters
+        ----------
+        coefficients : ndarray
+            Coefficients of the splines.
+
+        Returns
+        -------
+        ndarray
+            Values at all radii.
+        """
         fade = np.clip((self._reach + 1 - self._radii) / 2, 0, 1)
         return self._table @ coefficients * fade * fade * (3 - 2 * fade)
 
@@ -85,6 +132,18 @@ class RadialBasis:
 
         By least squares. The first is relative to its value at the reach; all are scaled such that
         its largest magnitude is 1.
+
+        Parameters
+        ----------
+        pixels : Samples
+            Samples of pixels.
+        harmonics : list of int
+            Numbers of the angular harmonics.
+
+        Returns
+        -------
+        ndarray
+            Profiles, one row per harmonic.
         """
         radial = self.at(pixels.r)
         design = np.hstack([radial * np.cos(m * pixels.angle)[:, None] for m in harmonics])

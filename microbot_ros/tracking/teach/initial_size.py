@@ -19,10 +19,9 @@ _LADDER = 2.0 ** np.arange(2, 6.6, 0.5)
 _NEARLY_ALL = 0.9
 """Choice: the smallest width that explains this share of the maximum is taken."""
 
-# Choices: spots per frame, pixels of all spots, and least response in σ of its noise.
-_MOST_CANDIDATES = 80
-_MOST_PIXELS = 150_000
-_LEAST_SIGMA = 8.0
+_MOST_CANDIDATES = 80  # choice: spots per frame; more cost time and tell nothing new
+_MOST_PIXELS = 150_000  # choice: pixels of all spots, which bounds the time
+_LEAST_SIGMA = 8.0  # choice: least response, in σ of its noise
 
 
 @dataclass(frozen=True)
@@ -45,6 +44,18 @@ def best_initial_size(
 
     A generator that yields between portions of the work and returns the result; `settings` may fix
     the diameter or the sign.
+
+    Parameters
+    ----------
+    frames : list of ndarray
+        Pictures (H, W).
+    settings : TrackerSettings
+        Settings of the tracker.
+
+    Returns
+    -------
+    Generator[None, None, InitialSize or None]
+        The size, or None.
     """
     signs = {'dark': [-1.0], 'bright': [1.0], None: [-1.0, 1.0]}[settings.contrast]
     ladder = _LADDER if settings.diameter_px is None else [settings.diameter_px]
@@ -64,7 +75,22 @@ def best_initial_size(
 
 
 def initial_size_at(frames: list[np.ndarray], diameter: float, sign: float) -> InitialSize | None:
-    """Return the strongest spots of one `diameter` [px] and `sign` in `frames`; None if none."""
+    """Return the strongest spots of one `diameter` [px] and `sign` in `frames`; None if none.
+
+    Parameters
+    ----------
+    frames : list of ndarray
+        Pictures (H, W).
+    diameter : float
+        Diameter [px].
+    sign : float
+        −1 for dark, 1 for bright.
+
+    Returns
+    -------
+    InitialSize or None
+        The spots, or None.
+    """
     # Enough pixels for a smooth picture; the strongest spots are most likely particles.
     most = max(4, int(_MOST_PIXELS / len(frames) / (1.5 * diameter + 3) ** 2 / 4))
     everywhere = [_spots(frame, diameter, sign)[:most] for frame in frames]
@@ -79,6 +105,18 @@ def outer_diameter(frames: list[np.ndarray], initial: InitialSize) -> float:
     Typical is the median over the `initial` spots of their grey values at each distance, weighted
     by energy, so that rings, neighbours and many small specks do not mislead it. The diameter of
     `initial` is returned if no spot lies wholly in view.
+
+    Parameters
+    ----------
+    frames : list of ndarray
+        Pictures (H, W).
+    initial : InitialSize
+        The initial size.
+
+    Returns
+    -------
+    float
+        Diameter [px].
     """
     profiles = []
     for frame, spots in zip(frames, initial.spots, strict=True):

@@ -20,6 +20,15 @@ def write_kinds_figure(path: Path, image: np.ndarray, settings: TrackerSettings)
     """Save a figure to `path`: an `image` (H, W) with what `settings` follow and leave out.
 
     It adds cut-outs of each kind and their ranges in words.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    image : ndarray, shape (H, W)
+        The picture.
+    settings : TrackerSettings
+        Settings of the tracker.
     """
     from matplotlib.figure import Figure
 

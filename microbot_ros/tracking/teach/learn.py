@@ -49,7 +49,20 @@ _IRREGULAR = 0.2
 
 
 def learn(frames: list[np.ndarray], settings: TrackerSettings) -> Appearance | None:
-    """Return the typical particle of `frames` (H, W) by `settings`; None if all is noise."""
+    """Return the typical particle of `frames` (H, W) by `settings`; None if all is noise.
+
+    Parameters
+    ----------
+    frames : list of ndarray
+        Pictures (H, W).
+    settings : TrackerSettings
+        Settings of the tracker.
+
+    Returns
+    -------
+    Appearance or None
+        The appearance, or None.
+    """
     steps = learning(frames, settings)
     while True:
         try:
@@ -60,7 +73,20 @@ def learn(frames: list[np.ndarray], settings: TrackerSettings) -> Appearance | N
 
 
 def learn_first(images: Iterable[np.ndarray], settings: TrackerSettings) -> Appearance | None:
-    """Return the typical particle, by `settings`, of the first `images` (H, W) that show any."""
+    """Return the typical particle, by `settings`, of the first `images` (H, W) that show any.
+
+    Parameters
+    ----------
+    images : iterable of ndarray
+        Pictures (H, W).
+    settings : TrackerSettings
+        Settings of the tracker.
+
+    Returns
+    -------
+    Appearance or None
+        The appearance, or None.
+    """
     rest = iter(images)
     while batch := list(islice(rest, settings.learning_frames)):
         if (appearance := learn(batch, settings)) is not None:
@@ -71,7 +97,20 @@ def learn_first(images: Iterable[np.ndarray], settings: TrackerSettings) -> Appe
 def learning(
     frames: list[np.ndarray], settings: TrackerSettings
 ) -> Generator[None, None, Appearance | None]:
-    """Run `learn` on `frames` and `settings` in portions of milliseconds, for a live loop."""
+    """Run `learn` on `frames` and `settings` in portions of milliseconds, for a live loop.
+
+    Parameters
+    ----------
+    frames : list of ndarray
+        Pictures (H, W).
+    settings : TrackerSettings
+        Settings of the tracker.
+
+    Returns
+    -------
+    Generator[None, None, Appearance or None]
+        The appearance, or None.
+    """
     step = max(1, len(frames) // _MOST_FRAMES)
     frames = [np.ascontiguousarray(frame) for frame in frames[::step][:_MOST_FRAMES]]
     initial = yield from best_initial_size(frames, settings)

@@ -54,14 +54,36 @@ class _Meant:
 
 
 class NothingError(InputError):
-    """A point at (`x`, `y`) [px] where nothing stands out; `what` was to be learned."""
+    """A point at (`x`, `y`) [px] where nothing stands out; `what` was to be learned.
+
+    Parameters
+    ----------
+    what : str
+        Name of the object that was to be learned.
+    x : float
+        Column [px].
+    y : float
+        Row [px].
+    """
 
     def __init__(self, what: str, x: float, y: float) -> None:
         super().__init__(what, f'expected something at {x:g},{y:g}: nothing is visible there')
 
 
 class TwoError(InputError):
-    """A point at (`x`, `y`) [px] between `two` bodies (2,); `what` was to be learned."""
+    """A point at (`x`, `y`) [px] between `two` bodies (2,); `what` was to be learned.
+
+    Parameters
+    ----------
+    what : str
+        Name of the object that was to be learned.
+    x : float
+        Column [px].
+    y : float
+        Row [px].
+    two : Bodies
+        The two bodies.
+    """
 
     def __init__(self, what: str, x: float, y: float, two: Bodies) -> None:
         super().__init__(what, f'expected one thing at {x:g},{y:g}: two are equally near')
@@ -77,6 +99,24 @@ def like(
     or of `robot`. A point between two bodies that nearly touch means both, as one body. Raises
     InputError if nothing is there, two bodies are, it is a counter-example, or the name is
     invalid.
+
+    Parameters
+    ----------
+    settings : TrackerSettings
+        Settings of the tracker.
+    image : ndarray, shape (H, W)
+        The picture.
+    x : float
+        Column [px].
+    y : float
+        Row [px].
+    name : str or None
+        Name of the kind; None for the default.
+
+    Returns
+    -------
+    tuple[TrackerSettings, str]
+        The settings and the sentence.
     """
     name = name or (settings.kinds[0].name if len(settings.kinds) == 1 else 'robot')
     known = next((kind for kind in settings.kinds if kind.name == name), None)
@@ -110,6 +150,24 @@ def unlike(
     It is a counter-example of the kind `name`; without a name, of every kind that took it for its
     own. Raises InputError if no kind is known, nothing is there, or it cannot be told from the
     examples.
+
+    Parameters
+    ----------
+    settings : TrackerSettings
+        Settings of the tracker.
+    image : ndarray, shape (H, W)
+        The picture.
+    x : float
+        Column [px].
+    y : float
+        Row [px].
+    name : str or None
+        Name of the kind; None for the default.
+
+    Returns
+    -------
+    tuple[TrackerSettings, str]
+        The settings and the sentence.
     """
     if name is not None and name not in {kind.name for kind in settings.kinds}:
         raise InputError('unlike', f'expected a known kind; received {name}')
@@ -130,7 +188,20 @@ def unlike(
 
 
 def forget(settings: TrackerSettings, name: str | None = None) -> tuple[TrackerSettings, str]:
-    """Return the `settings` without the kind `name`, or without any, and a sentence."""
+    """Return the `settings` without the kind `name`, or without any, and a sentence.
+
+    Parameters
+    ----------
+    settings : TrackerSettings
+        Settings of the tracker.
+    name : str or None
+        Name of the kind; None for all.
+
+    Returns
+    -------
+    tuple[TrackerSettings, str]
+        The settings and the sentence.
+    """
     if name is not None and name not in {kind.name for kind in settings.kinds}:
         raise InputError('forget', f'expected a known kind; received {name}')
     left = tuple(kind for kind in settings.kinds if name is not None and kind.name != name)

@@ -62,14 +62,27 @@ _AGREED = 0.7
 Finder = Callable[[np.ndarray], np.ndarray]
 """Function from a picture (H, W) to positions (N, 2) [px] of its particles."""
 
-_NOWHERE = np.empty((0, 2))
+_NOWHERE = np.empty((0, 2))  # no positions
 
 
 class Detector(Protocol):
     """Finds particles in a picture; see `RoundDetector`."""
 
     def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
-        """Return all particles of `image` (H, W); known ones are `expected` at (M, 2) [px]."""
+        """Return all particles of `image` (H, W); known ones are `expected` at (M, 2) [px].
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W)
+            The picture.
+        expected : ndarray, shape (M, 2)
+            Predicted positions [px].
+
+        Returns
+        -------
+        Detections
+            The detections.
+        """
         ...
 
 
@@ -77,6 +90,18 @@ def evenly(images: Iterable[np.ndarray], length: int | None) -> list[np.ndarray]
     """Return 12 to 24 of the `images` of a film, evenly spread; all if there are fewer.
 
     `length` is the number of images that the film states, None if it states none.
+
+    Parameters
+    ----------
+    images : iterable of ndarray
+        The images.
+    length : int or None
+        Number of images, or None.
+
+    Returns
+    -------
+    list of ndarray
+        The selected images.
     """
     step = max(1, (length or 10 * _SAMPLES) // _SAMPLES)
     samples: list[np.ndarray] = []
@@ -96,6 +121,20 @@ def without_prompt(
     They have a kind for moving bodies in the `samples` (H, W), from all over the film, if the
     learned picture misses much of them, and no kind if the motion is noise. They are unchanged if
     they state the appearance of a particle, or for a film of less than 24 frames (`length`).
+
+    Parameters
+    ----------
+    settings : TrackerSettings
+        Settings of the tracker.
+    samples : list of ndarray
+        Pictures (H, W) from all over the film.
+    length : int
+        Number of frames.
+
+    Returns
+    -------
+    tuple[TrackerSettings, list of str]
+        The settings and the sentences.
     """
     stated = (settings.contrast, settings.shape, settings.diameter_px) != (None, None, None)
     if stated or settings.kinds or length < _LEAST_FRAMES or len(samples) < 3:
@@ -121,6 +160,18 @@ def specks(detector: Detector, samples: list[np.ndarray]) -> int:
 
     Noise has as many bright maxima as dark ones, so that a detector of noise finds as much in the
     negative of the `samples` (H, W); a detector of particles finds next to nothing there.
+
+    Parameters
+    ----------
+    detector : Detector
+        The detector.
+    samples : list of ndarray
+        Pictures (H, W) from all over the film.
+
+    Returns
+    -------
+    int
+        The number.
     """
     count = mirrored = 0
     for sample in samples:
@@ -138,6 +189,18 @@ def choose(frames: list[np.ndarray], settings: TrackerSettings) -> TrackerSettin
     """Return the `settings` with a kind for moving bodies in `frames` (H, W) from all over a film.
 
     None if nothing moves that is compact and in focus.
+
+    Parameters
+    ----------
+    frames : list of ndarray
+        Pictures (H, W).
+    settings : TrackerSettings
+        Settings of the tracker.
+
+    Returns
+    -------
+    TrackerSettings or None
+        The settings, or None.
     """
     # Objects in the middle of the film may be hidden at its beginning, and the reverse.
     by_sign = {dark: [_compact(frame, dark) for frame in frames] for dark in (True, False)}
@@ -184,6 +247,22 @@ def without_standing(
     `frames` are from all over a film. Places near `meant` points (M, 2) [px] are not included: a
     person who points at a resting body wants it followed. If `carried`, objects that drift with
     the sample are included.
+
+    Parameters
+    ----------
+    settings : TrackerSettings
+        Settings of the tracker.
+    frames : list of ndarray
+        Pictures (H, W).
+    meant : ndarray, shape (M, 2)
+        Points at particles [px].
+    carried : bool
+        Whether objects that drift with the sample count.
+
+    Returns
+    -------
+    TrackerSettings
+        The settings.
     """
     places = [place for kind in settings.kinds
               for place in _unmeant(standing(_members(kind, frames), carried), meant)]
@@ -198,6 +277,24 @@ def without_creeping(
     Nothing changes if the body at (x, y) moves by itself, or `meant` points (M, 2) [px] are there.
     The number of places left out is returned too. A place may creep by its own width. `frames` (H,
     W) are from all over a film.
+
+    Parameters
+    ----------
+    settings : TrackerSettings
+        Settings of the tracker.
+    frames : list of ndarray
+        Pictures (H, W).
+    meant : ndarray, shape (M, 2)
+        Points at particles [px].
+    x : float
+        Column [px].
+    y : float
+        Row [px].
+
+    Returns
+    -------
+    tuple[TrackerSettings, int]
+        The settings and the number of places.
     """
     places = [place for kind in settings.kinds
               for place in _unmeant(creeping(_members(kind, frames)), meant)]
@@ -249,6 +346,22 @@ def needed(
 
     If the usual detector has a picture `fitted` to each particle it is more exact, and kept unless
     it misses much. Outlines are less exact than kinds, and kept only if they find more.
+
+    Parameters
+    ----------
+    frames : list of ndarray
+        Pictures (H, W).
+    chosen : TrackerSettings
+        Settings with the kinds.
+    find : Finder
+        Function that finds particles.
+    fitted : bool
+        Whether the usual detector fits a picture to each particle.
+
+    Returns
+    -------
+    bool
+        Whether they do.
     """
     detector = KindsDetector(chosen.kinds, chosen.standing)
     both = missed = more = 0
