@@ -245,7 +245,7 @@ def _by_graticule(
         f'{found.period_px:.2f} px per line')
     if not along_coils:
         return part, image, found
-    # The nearest quarter turn to what is known already.
+    # The quarter turn nearest to the known rotation.
     before = part.rotation or 0.0
     square = (found.angle if part.mirrored else -found.angle) + before
     rotation = before - math.remainder(square, math.pi / 2)
