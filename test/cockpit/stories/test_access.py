@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 from PIL import Image
 
+from microbot_ros.common.faults import catalogue
+
 pytestmark = pytest.mark.rig
 
 _SIZES = [(360, 640), (390, 844), (844, 390), (768, 1024), (1024, 768), (1440, 900), (2560, 1440)]
@@ -169,6 +171,8 @@ def test_nothing_is_cut_at_any_size(open_page, rig, tmp_path, size) -> None:
     rig.told.update(rig='fault', sentence='disarmed, measured current deviates (deviation_A, '
                     'settling_ms): (0, 0, 0, 0) A measured, (0.799, 0.1, -0.3, 0.2) A '
                     'commanded; zero, confirmed by a reading', zero='confirmed',
+                    fault={'reason': 'measured current deviates', 'detail':
+                           '(0, 0, 0, 0) A measured, (0.799, 0.1, -0.3, 0.2) A commanded'},
                     field={'wanted_mT': [-12.93, -10.86], 'applied_mT': [-12.93, -10.86],
                            'measured_mT': [-12.93, -10.86]})
     page = open_page(viewport={'width': size[0], 'height': size[1]})
@@ -201,3 +205,33 @@ def test_each_part_is_one_click_away_at_any_size(open_page, size) -> None:
     for part in ('field', 'estimates', 'recording', 'discovery', 'health'):
         page.click(f'#tab-{part}')
         assert page.is_visible(f'#{part}')
+
+
+def test_every_fault_of_the_catalogue_is_shown_with_cause_and_cure(page, rig) -> None:
+    """As the sentence of a node, in the part Health and in the event log."""
+    every = {sentence.replace('…', '4'): cure for known in catalogue().values()
+             for sentence, (_, cure) in known.items()
+             if not cure.startswith(('See there', 'See the sentence'))}
+    assert len(every) > 120
+    rig.told = {**rig.told, 'health': [
+        {'name': f'node_{n}', 'level': 'error', 'sentence': sentence}
+        for n, sentence in enumerate(every)]}
+    for part, row in (('health', '#health-list li[data-level=error]'),
+                      ('events', '#event-list li.error')):
+        page.click(f'#tab-{part}')
+        page.wait_for_selector(f'{row}:nth-child({len(every)})')
+        without = page.locator(f'{row}:not(:has(.cure))').all_inner_texts()
+        assert without == []
+        told = page.locator(f'{row} .cure').all_inner_texts()
+        assert len(told) == len(every)
+        assert all(text.startswith('What to do: ') for text in told)
+
+
+def test_the_gates_fault_is_named_above_every_part(page, rig) -> None:
+    reason, detail = 'measured current deviates', '0 A measured, 0.8 A commanded'
+    rig.told.update(rig='fault', zero='confirmed', fault={'reason': reason, 'detail': detail},
+                    sentence=f'disarmed, {reason} (deviation_A): {detail}; zero')
+    page.wait_for_selector(f'#why b:has-text("{reason}")')
+    assert page.inner_text('#why').startswith(f'{reason}. {detail}. Cause: '.split(' Cause')[0])
+    assert page.inner_text('#rig-sentence') == f'{reason}; zero, confirmed by a reading'
+    assert page.locator('#why .cure').count() == 1
