@@ -239,7 +239,7 @@ class PlaybackPublishers:
     def __init__(self, node: RigNode, kinds: dict[str, type]) -> None:
         self._node = node
         self._clock = node.publisher(Clock, '/clock')
-        # A listener who takes no frames would cost a gigabyte in ten seconds.
+        # A listener that is slow on frames would cost a gigabyte in ten seconds.
         self._outlets = {name: node.publisher(kind, name, RELIABLE if kind is Image else KEPT)
                          for name, kind in kinds.items()}
 
