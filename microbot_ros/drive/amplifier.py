@@ -229,7 +229,7 @@ class Amplifier(ABC):
         self.channels = channels
         self.full_scale_A = np.broadcast_to(np.asarray(full_scale_A, float), channels).copy()
         if not np.all((self.full_scale_A > 0) & np.isfinite(self.full_scale_A)):
-            raise InputError('full_scale_A', f'expected amperes above 0, got {full_scale_A}')
+            raise InputError('full_scale_A', f'expected amperes above 0; received {full_scale_A}')
         self.counters = Counters()
         self.fault = ''
         """Fault that the device reported last; '' for none."""

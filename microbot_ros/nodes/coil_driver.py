@@ -348,7 +348,7 @@ class CoilDriverNode(RigNode):
             if self._driver.epoch != epoch:
                 return STOPPED
             if time.monotonic() > deadline:
-                return 'nobody publishes field/command: start the controller first'
+                return 'no node publishes field/command: start the controller first'
             time.sleep(0.02)
         names, self._commander = found
         if len(names) > 1:
