@@ -191,7 +191,7 @@ class Amplifier(ABC):
     """Whether it measures currents. Otherwise `poll` returns no readings and nothing confirms a
     zero."""
     most_channels: ClassVar[int] = 16
-    """Largest number of coils. Choice: more than any published rig has; drivers lower it to the
+    """Largest number of coils. Choice: the range of the project, 2 to 16; drivers lower it to the
     limit of their protocol."""
     sample_s = 0.0008
     """Interval [s] between samples of rotating currents. Choice: a little more than a thousand a

@@ -33,8 +33,8 @@ from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode
 
 _WARM = 0.01
-"""Heat of a coil, as a part of the heat it bears, from which it is stored for a restart. Choice:
-less has no effect on the gate's decision."""
+"""Heat of a coil, as a part of the heat it bears, from which it is stored for a restart. Choice: 1
+% hardly changes a decision of the gate; less would write files for cold coils."""
 _REMIND_SECONDS = 0.2
 """Interval [s] of the messages that the gate is armed, while it waits for a zero. Choice: five a
 second reach a controller that was delayed."""

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from microbot_ros.session.mcap.recording import Message
 
 _CLOCK_SECONDS = 0.01
-"""Interval of `/clock` [s]. Choice: a tenth of the shortest timer of a node (0.1 s); half doubles
-the messages."""
+"""Interval of `/clock` [s]. Choice: shorter than a frame of most cameras; half doubles the
+messages."""
 _SETTLED_SECONDS = 0.5
 """Time [s] without a new listener before anything is sent: a late listener misses the beginning.
 Choice: half loses listeners that start slowly, twice delays every playback."""

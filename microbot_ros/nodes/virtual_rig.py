@@ -42,8 +42,8 @@ from microbot_ros.virtual_rig.world import FieldHistory, World
 _REFERENCE_FIELD = 5e-3
 """Field [T] at which speeds and alignment are given: that of the paper, 5 mT."""
 _LONGEST_DELAY = 1.0
-"""Longest delay [s] of the field that a hidden effect may have. Choice: several times that of any
-rig; more keeps more changes in memory."""
+"""Longest delay of the field [s] for which changes are kept. Choice: a longer hidden delay is not
+exact; twice keeps twice as many changes."""
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 """Keep the last message for later subscribers; depth 1 by definition."""
 # A best-effort subscriber matches every publisher of images, a reliable one only some.
 IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-IMAGES_OUT = QoSProfile(depth=5)  # choice: some frames, as memory is more scarce than history
+IMAGES_OUT = QoSProfile(depth=5)  # choice: a slow reader may be five frames late
 
 _LINE = 400
 """Longest status message [characters]. Choice: about one line of a wide terminal; half would hide
