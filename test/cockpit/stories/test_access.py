@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from typing import Any
 
+import hands
 import pytest
 from PIL import Image
 
@@ -235,3 +236,52 @@ def test_the_gates_fault_is_named_above_every_part(page, rig) -> None:
     assert page.inner_text('#why').startswith(f'{reason}. {detail}. Cause: '.split(' Cause')[0])
     assert page.inner_text('#rig-sentence') == f'{reason}; zero, confirmed by a reading'
     assert page.locator('#why .cure').count() == 1
+
+
+@pytest.mark.parametrize('size', _SIZES)
+def test_the_tasks_of_a_first_time_operator_take_three_clicks_at_any_size(
+        open_page, rig, size) -> None:
+    page = open_page(viewport={'width': size[0], 'height': size[1]})
+    page.wait_for_selector('#arm:enabled')
+    page.evaluate("""() => { window.presses = 0;
+      addEventListener('pointerdown', () => { window.presses += 1; }, true); }""")
+    presses = []
+
+    def done() -> None:
+        presses.append(page.evaluate('window.presses') - sum(presses))
+
+    box = page.locator('#frame').bounding_box()
+    middle = box['x'] + box['width'] / 2, box['y'] + box['height'] / 2
+    page.hover('#arm')
+    page.mouse.down()
+    page.wait_for_selector('#rig-chip[data-state=armed]')
+    page.mouse.up()
+    done()
+    hands.mode(page, 'goal')
+    page.mouse.click(*middle)
+    rig.wait_for('goal')
+    done()
+    hands.mode(page, 'path')
+    hands.draw(page, [(middle[0] + 3 * k, middle[1]) for k in range(12)])
+    rig.wait_for('path')
+    done()
+    hands.part(page, 'recording')
+    page.click('#record')
+    page.wait_for_selector('#recording-now:has-text("● Recording")')
+    page.click('#note')
+    page.keyboard.type('a bubble')
+    page.keyboard.press('Enter')
+    rig.wait_for('note')
+    done()
+    page.click('#stop')
+    rig.wait_for('stop')
+    done()
+    assert page.is_visible('#recordings-now')
+    hands.part(page, 'discovery')
+    page.click('#discover')
+    page.wait_for_selector('#messages li.refused:has-text("not armed")')
+    done()
+    rig.told = {**rig.told, 'rig': 'fault', 'sentence': 'disarmed, coil heat: hot; zero'}
+    page.wait_for_selector('#why:visible .cure')
+    done()
+    assert presses == [1, 2, 2, 3, 1, 2, 0]
