@@ -81,6 +81,14 @@ def test_every_sentence_of_a_fault_has_its_cause_and_cure(build):
         assert [told for told, answer in part.items() if not all(map(str.strip, answer))] == []
 
 
+def test_messages_of_faults_are_short_and_plain():
+    """At most 100 characters before the advice; no stand-ins for a noun."""
+    said = [sentence for known in faults.catalogue().values() for sentence in known]
+    assert [one for one in said if len(re.split(r'[;:] ', one)[0]) > 100] == []
+    assert [one for one in said
+            if re.search(r'\b(?:nobody|somebody|whoever|told|mend|goes on)\b', one)] == []
+
+
 @pytest.mark.parametrize('reason', Reason)
 @pytest.mark.parametrize('parameters', ['', ' (deviation_A, settling_ms)'])
 def test_every_fault_of_the_gate_is_shown_with_its_cause_and_cure(reason, parameters):

@@ -178,7 +178,7 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
                 summary.failed |= compared.failed
         except (KeyboardInterrupt, ClusterError) as error:
             stopped = error
-            stack.close()  # nobody works on meanwhile
+            stack.close()  # stop the workers
         report(Progress('concluding'))
         found = _conclude(archive, summary)
         archive.save(found, complete=not (stopped or summary.failed or summary.no_report))
@@ -189,7 +189,7 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
 
 def _load_ahead() -> None:
     """Import the modules of `_conclude` while the workers work, which takes seconds."""
-    with suppress(ImportError):  # said where it is used
+    with suppress(ImportError):  # reported where it is used
         importlib.import_module('microbot_ros.archive.report')
         importlib.import_module('pyarrow')
 

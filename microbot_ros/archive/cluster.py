@@ -70,7 +70,7 @@ def _local(workers: int | None) -> Iterator[Client]:
 
     # Dask's profile of a worker grows with every job, and takes a thirtieth of the processor.
     unprofiled = dask.config.set({'distributed.worker.profile.enabled': False})
-    # The port is another one where somebody else has it, and Dask says so.
+    # Dask takes another port if this one is in use, and reports it.
     with _quietly():
         with unprofiled, _interrupts_ignored():
             local = LocalCluster(
@@ -87,7 +87,7 @@ def _remote(scheduler: str) -> Iterator[Client]:
 
     with _quietly():
         try:
-            # A client that was given no address complains once more when it is thrown away.
+            # A client without address would complain again when it is deleted.
             parse_host_port(parse_address(scheduler)[1])
             client = Client(scheduler, timeout=_FOUND_WITHIN, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -156,7 +156,7 @@ def check_versions(client: Client) -> None:
     for who, one in others.items():
         theirs = _versions(one)
         for name in _CHECKED:
-            # A scheduler only hands on what it is given.
+            # A scheduler only passes messages on.
             if who == 'the scheduler' and name in ('microbot_ros', 'scipy', 'numba', 'numpy'):
                 continue
             if theirs.get(name) != ours.get(name):
@@ -216,7 +216,7 @@ def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Job, str], N
     """
     from distributed import as_completed
 
-    # Another archive may want the same from the same scheduler.
+    # Another archive may run the same job on the same scheduler.
     of = {f'{job.key}-{hashlib.sha256(str(job.archive).encode()).hexdigest()[:8]}': job
           for job in jobs}
     waiting = as_completed(client.map(do, list(of.values()), key=list(of)), loop=client.loop)

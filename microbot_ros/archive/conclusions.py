@@ -129,7 +129,7 @@ def conclude(archive: Archive | str | Path) -> Conclusions:
         archive = Archive(archive)
     measured = archive.results('measure')
     effects = recurring_effects(measured)
-    # Where nobody measured, nobody knows of presence.
+    # Without a measurement, presence is unknown.
     present: dict[str, list[str]] = {path: [] for path in measured}
     for effect in effects:
         for path in effect.present:

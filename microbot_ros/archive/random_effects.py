@@ -151,7 +151,7 @@ def _variance_where(y: np.ndarray, s: np.ndarray, q: float) -> float:
     high = float(np.var(y) + s.max() ** 2)
     while _q(y, s, high) > q:
         high *= 4
-    # Variances of metres per second squared are tiny: by their share of the largest.
+    # Variances in SI are tiny, so solve for the share of the largest.
     return high * float(brentq(lambda share: _q(y, s, share * high) - q, 0.0, 1.0, xtol=1e-12))
 
 

@@ -270,7 +270,7 @@ def _in_folder(here: Path, files: list[Path], top: Path, cards: FileCards,
         yield found(here, 'film', images)
     yield from (found(file, 'film', [file]) for file in kinds.pop('film', []))
     tables, commands = kinds.pop('positions', []), kinds.pop('commands', [])
-    if tables and commands:  # robots and what drove them, a file each
+    if tables and commands:  # robots and commands, one file each
         yield found(here, 'table', sorted([*tables, *commands]))
     else:
         yield from (found(file, 'table', [file]) for file in tables)
@@ -328,7 +328,7 @@ def _table(file: Path) -> str:
     if 'direction' in roles or {'bx', 'by'} <= roles:
         return 'commands'
     if summary_of([(sheet, columns)]):
-        return 'spreadsheet'  # whose import says what it is
+        return 'spreadsheet'  # the import reports the averages
     return 'expected columns of positions or commands; it has none'
 
 

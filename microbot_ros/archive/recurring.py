@@ -159,7 +159,7 @@ def candidates_for_all(results: Results) -> list[str]:
             free[name] += dof
     often = {name for name, count in named.items()
              if len(known) < 3 or bdtrc(count - 1, len(known), BY_CHANCE) < BY_CHANCE}
-    # Of a place or a frequency the best of many is looked at, which alone is evidence of nothing.
+    # A place or frequency is the best of many, which alone is no evidence.
     pooled = {name for name in gains
               if not any(p.shape for p in EFFECTS[name].parameters())
               and chdtrc(free[name], gains[name]) * len(EFFECTS) < BY_CHANCE}
@@ -286,7 +286,7 @@ def _two_groups(x: np.ndarray, std: np.ndarray, ratio: np.ndarray, angle: np.nda
     has a uniform prior.
     """
     count = len(x)
-    # An angle is known within its error, of a turn.
+    # An angle is known to its error, as a part of a turn.
     blind = np.minimum(np.log(std[:, angle] / np.sqrt(2 * np.pi)), 0.0).sum(axis=1)
     y, s = x[:, ~angle], std[:, ~angle]
     probability = np.where(ratio > chdtri(max(x.shape[1], 1), 1e-3), 1.0, 0.0)
@@ -316,7 +316,7 @@ def _fitting(y: np.ndarray, s: np.ndarray, has: np.ndarray) -> np.ndarray:
     for values, stds in zip(y.T, s.T, strict=True):
         of = spread(values[has], stds[has])
         assert of is not None
-        # One session does not tell how they spread: as widely as its effect is large.
+        # One session does not determine the spread: take the size of the effect.
         between = of.between if np.isfinite(of.between) else abs(of.mean)
         wide = stds**2 + between**2 + of.mean_std**2
         result += np.log(stds**2 / wide) / 2 - (values - of.mean) ** 2 / (2 * wide)

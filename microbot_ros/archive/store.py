@@ -293,7 +293,7 @@ class Archive:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if not os.fstat(file.fileno()).st_nlink:
-                    raise BlockingIOError  # of a run that has just taken it away
+                    raise BlockingIOError  # another run has just removed it
             except OSError:
                 file.seek(0)
                 raise InputError(self.folder, 'another run writes into this archive '
@@ -310,6 +310,6 @@ class Archive:
             finally:
                 if not self._index.exists():
                     lock.unlink()
-                    with suppress(OSError):  # there is something in it
+                    with suppress(OSError):  # not empty
                         for folder in made:
                             folder.rmdir()

@@ -49,7 +49,7 @@ def rows(archive: Archive, present: Mapping[str, list[str]]) -> Iterator[dict[st
         baseline = told.get('baseline', told)
         entry = archive.entries[path]
         session = _of_session(entry, path, task, result, told, present.get(path))
-        # Folders of the same name may lie in two places.
+        # Two folders may have the same name.
         session['session'] = entry.name if names[entry.name] == 1 else path
         noise = _numbers(baseline)
         for particle, numbers in baseline['particles'].items():

@@ -184,7 +184,7 @@ def _imported(files: Sequence[Path], given: dict[str, Any]) -> tuple[Session, li
 
     answers = Answers(**given)
     with tempfile.TemporaryDirectory() as scratch:
-        # Readers go by endings; people do not always, and other tables may lie beside these.
+        # Readers rely on endings, which may be wrong; other tables may lie beside these.
         for file in files:
             ending = '.xlsx' if file.read_bytes()[:2] == b'PK' else '.csv'
             (Path(scratch) / f'{file.stem}{ending}').symlink_to(file)

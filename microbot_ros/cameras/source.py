@@ -98,7 +98,8 @@ def open_source(
     """
     see = see or grey
     if frame_rate is not None and not 0 < frame_rate < float('inf'):
-        raise InputError('frame rate', f'expected a positive number of hertz, got {frame_rate}')
+        raise InputError('frame rate', 'expected a positive number of hertz; received '
+                                       f'{frame_rate}')
     path = Path(source)
     if path.is_file():
         return VideoSource(path, report, frame_rate, see)

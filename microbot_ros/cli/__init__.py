@@ -25,7 +25,7 @@ from microbot_ros import __version__
 from microbot_ros.common import extras
 from microbot_ros.common.errors import InputError, ReportError, RigError, one_line
 
-# What the system says of a place that somebody named, and of a disk that nobody can help.
+# Errors of a path given by the user, and of a disk.
 _WRONG_PLACE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTDIR, errno.EISDIR,
                 errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP)
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -107,7 +107,7 @@ def main() -> None:
         place = f'{error.filename}: ' if error.filename else ''
         status = _failed('microbot', f'{place}{error.strerror}', 1 if error.errno in _DISK else 2)
     except (click.Abort, KeyboardInterrupt) as end:
-        # Click takes a file that ends too soon for a Ctrl-D. Nothing is asked for here.
+        # Click treats a truncated file like Ctrl-D, but nothing is read from the terminal here.
         if isinstance(end.__cause__, EOFError):
             raise end.__cause__ from None
         status = 130
@@ -149,7 +149,7 @@ def _cleaned_up_on(*signals: int) -> Iterator[None]:
             signal.alarm(_CLEAN_UP_S)
             raise SystemExit(128 + number)
 
-    # `nohup` has one of them ignored.
+    # `nohup` ignores one of them.
     before = {one: signal.signal(one, end) for one in signals
               if signal.getsignal(one) == signal.SIG_DFL}
     try:

@@ -145,7 +145,7 @@ def _answered(given: dict[str, Any]) -> dict[str, Any]:
 def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: Path,
          workers: int | None, scheduler: str | None, json_path: Path | None) -> None:
     """Run a task with progress and print the results."""
-    # Many processes of one thread each: read by OpenBLAS when it is loaded, so from here.
+    # One thread per process; OpenBLAS reads this when it is loaded.
     os.environ.setdefault('OMP_NUM_THREADS', '1')
     from rich.console import Console
 

@@ -142,6 +142,7 @@ def _named_columns(pairs: tuple[str, ...]) -> dict[str, str]:
     for pair in pairs:
         role, mark, name = pair.partition('=')
         if role not in ROLES or not mark or not name:
-            raise InputError('--column', f'expected ROLE=NAME with a role of {_ROLES}, got {pair}')
+            raise InputError('--column', f'expected ROLE=NAME with a role of {_ROLES}; received '
+                                         f'{pair}')
         named[role] = name
     return named

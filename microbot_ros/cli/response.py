@@ -66,7 +66,7 @@ def command(sources: tuple[Path, ...], out: Path, against: Against, definition: 
             except InputError as error:
                 if path in sources:
                     raise
-                # One of an archive's many, such as a film without a pixel size.
+                # One of many sessions of an archive, such as a film without a pixel size.
                 progress.print(f'left out  {error}', markup=False)
         status.update(f'measuring {len(sessions)} sessions')
         found = respond_all(sessions, against, definition)

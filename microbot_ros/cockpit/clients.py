@@ -102,7 +102,7 @@ class Page:
         if len(self._owed) >= _OWED and now_s - self._told_s < _SIGN_OF_LIFE_S:
             return
         if self._state is not None:
-            return  # the socket is full: what is new now will still be new later
+            return  # the socket is full; the changes are sent later
         new = {name: part for name, part in parts.items() if self._known.get(name) != part}
         self._known |= new
         self._told_s = now_s
@@ -150,7 +150,7 @@ class Page:
                         await self._socket.send_text(self._answers.popleft())
                     await self._send_newest()
         except (WebSocketDisconnect, RuntimeError, TimeoutError):
-            pass  # it has gone; who receives from it notices too
+            pass  # it is gone; its receiver ends too
 
     async def _send_newest(self) -> None:
         if self._picture is not None and len(self._owed) < _OWED:

@@ -94,7 +94,7 @@ class Events:
         self._see_change('discovery', discovery.get('sentence'), 'discovery', '{}')
 
     def _see_rig(self, rig: Any, sentence: str) -> None:
-        # The driver says why some moments after it is disarmed: of a fault both count.
+        # The driver reports the reason after disarming: a new sentence of a fault is a change too.
         now = (rig, sentence if rig == 'fault' else None)
         if now != self._rig:
             known, self._rig = self._rig[0] is not None, now

@@ -123,7 +123,7 @@ def _described(path: Path) -> dict[str, Any]:
         'began_s': min(file.stat().st_mtime for file in files), 'seconds': None, 'title': '',
         'notes': ''}
     if lack('mcap') or not (path / 'metadata.yaml').is_file():
-        return found  # it runs, or was cut off: to read it would take long
+        return found  # running or cut off: reading would take long
     from microbot_ros.session.mcap.recording import open_recording
 
     with suppress(InputError), open_recording(path) as recording:

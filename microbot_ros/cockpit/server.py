@@ -205,7 +205,7 @@ class Server:
         for task in background:
             task.cancel()
         await asyncio.gather(*background, return_exceptions=True)
-        if self._control.attended:  # no heartbeat comes any more: sooner than the driver sees it
+        if self._control.attended:  # faster than by the missing heartbeats
             with suppress(RefusedError, TimeoutError):
                 await asyncio.wait_for(self._rig.stop(), _LAST_STOP_S)
         self._recordings.end()

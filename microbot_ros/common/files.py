@@ -128,7 +128,7 @@ def _explain(error: Any, settings: type[pydantic.BaseModel]) -> str:
     if error['type'] == 'missing':
         return f"expected a key '{key}'"
     message = error['msg'].removeprefix('Value error, ')
-    return f"'{key}': {message[0].lower()}{message[1:]}, got {shown(error['input'])}"
+    return f"'{key}': {message[0].lower()}{message[1:]}; received {shown(error['input'])}"
 
 
 def _line_of(tree: yaml.Node | None, location: tuple[int | str, ...]) -> int | None:

@@ -62,7 +62,7 @@ def adapter_at(url: str) -> Adapter | None:
     if '://' in url:
         return None
     device = os.path.realpath(url)
-    with suppress(OSError):  # an adapter that is pulled out meanwhile
+    with suppress(OSError):  # an adapter that is unplugged meanwhile
         for port in comports():
             if port.device == device and port.vid is not None:
                 return Adapter(port.vid, port.pid, port.serial_number or '')

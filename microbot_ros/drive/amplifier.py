@@ -191,7 +191,7 @@ class Amplifier(ABC):
     """Whether it measures currents. Otherwise `poll` returns no readings and nothing confirms a
     zero."""
     most_channels: ClassVar[int] = 16
-    """Largest number of coils. Choice: more than any published rig has; drivers lower it to the
+    """Largest number of coils. Choice: the range of the project, 2 to 16; drivers lower it to the
     limit of their protocol."""
     sample_s = 0.0008
     """Interval [s] between samples of rotating currents. Choice: a little more than a thousand a
@@ -229,10 +229,10 @@ class Amplifier(ABC):
         self.channels = channels
         self.full_scale_A = np.broadcast_to(np.asarray(full_scale_A, float), channels).copy()
         if not np.all((self.full_scale_A > 0) & np.isfinite(self.full_scale_A)):
-            raise InputError('full_scale_A', f'expected amperes above 0, got {full_scale_A}')
+            raise InputError('full_scale_A', f'expected amperes above 0; received {full_scale_A}')
         self.counters = Counters()
         self.fault = ''
-        """What the device said last is wrong with it; '' where it says nothing of the kind."""
+        """Fault that the device reported last; '' for none."""
         self._tolerance_A = _AGREEMENT * self.full_scale_A + self.resolution_A / 2
         self._unacknowledged: deque[Command] = deque(maxlen=64)
         self._last: Command | None = None
@@ -242,7 +242,7 @@ class Amplifier(ABC):
         self._woken = threading.Event()
         self._adapters: dict[str, Adapter] = {}
         self._found: dict[str, Adapter | None] = {}
-        self._known = False  # connected before: a zero may go ahead of all questions
+        self._known = False  # connected before: a zero may precede the identification
 
     @property
     def watchable(self) -> bool:
@@ -460,7 +460,7 @@ class Amplifier(ABC):
         bound = self._adapters.get(url)
         if found is not None and not found.may_be_named(url):
             raise WrongDeviceError(url, 'the USB adapter that the port names', str(found))
-        # Where there is nothing at all, opening says so.
+        # If there is no port at all, opening reports it.
         if bound not in (None, found) and (found is not None or Path(url).exists()):
             raise WrongDeviceError(url, f'the adapter {bound}',
                                    'a port that is not a USB '

@@ -152,7 +152,7 @@ class CoilDriver:
             self._refuse_blind(accept_no_feedback)
         self._check: SelfCheck | None = None
         if self_check:
-            SelfCheck(limits, names)  # raises now for limits that it would raise for on arming
+            SelfCheck(limits, names)  # refuse unusable limits now, not on arming
         self._arming: Future[str | None] | None = None
         self._on_reading, self._on_sent = on_reading, on_sent
         self._mail = threading.Lock()
@@ -481,7 +481,7 @@ class CoilDriver:
         if self._swinging and self._rotation.turns:
             self._sample(now)  # the device is ahead of the last sample
         for reading in readings:
-            # What waits in the port while this thread is late may be as old as the last look.
+            # If this thread is late, waiting bytes may be as old as the last poll.
             self._judge(reading, now, min(reading.since_s, before_s))
         was_armed = self.gate.armed
         if self._check is not None:
@@ -599,7 +599,7 @@ class CoilDriver:
         currents: list[float] = reading.currents_A.tolist()
         self._look_for_zero(reading)
         if self._check is not None:
-            # Before the gate, which would trip at the same current and could not name the coil.
+            # Before the gate, which would trip at the same current without naming the coil.
             self._check.measured(currents, now, since_s)
             if self._check.complaint:
                 self.gate.trip(Reason.SELF_CHECK, self._check.complaint)
@@ -628,7 +628,7 @@ class CoilDriver:
         if self.gate.armed:
             answer.set_result(None)
             return
-        self._rotation.stop()  # a stop that came just before was not sampled yet
+        self._rotation.stop()  # a stop immediately before was not sampled yet
         self._asked_s = self._clock.now()
         refusal = self.gate.arm(self._asked_s)
         self._arming = answer
@@ -668,7 +668,7 @@ class CoilDriver:
         with suppress(Exception):
             self._write()
         self._answer_arming(self._refusal())
-        self._clock.wait(self._ending, _TICK_S)  # not to fill the processor with failing
+        self._clock.wait(self._ending, _TICK_S)  # limit the load of repeated failures
 
     def _lose(self, error: AmplifierError) -> None:
         self.gate.trip(Reason.LINE, str(error))

@@ -127,10 +127,10 @@ class Gate:
         self._now_s = self._commanded_s = self._heard_s = self._measured_s = -math.inf
         self._armed_s = self._attended_s = -math.inf
         self._measured: Currents = self.zero
-        self._allowance: Currents = (limits.step_A,) * channels  # what each current may yet change
-        self._replaced: deque[tuple[float, Currents]] = deque()  # when, which output
-        self._unsent = 0  # how many of these since the last write
-        self._behind_s = 0.0  # the age of what the last reading showed, where that is too old
+        self._allowance: Currents = (limits.step_A,) * channels  # remaining change of each
+        self._replaced: deque[tuple[float, Currents]] = deque()  # time [s] and output
+        self._unsent = 0  # number of these since the last write
+        self._behind_s = 0.0  # age of a reading that is too old [s]
         self._lapsed_s = -math.inf
 
     def arm(self, now_s: float) -> str | None:
@@ -451,7 +451,7 @@ class Gate:
 
     def _load(self, output_A: float, measured_A: float) -> float:
         """Return the value that I²t settles at, for the larger of the two currents."""
-        # Bounded, as a nonsensical reading would square to infinity and never cool again.
+        # Bounded, as the square of an absurd reading would be infinite and never cool.
         share = min(max(abs(output_A), abs(measured_A)) / self.limits.rated_current_A, 1e3)
         return share * share
 
@@ -472,7 +472,7 @@ class Gate:
         try:
             numbers = tuple(float(value) for value in values if math.isfinite(value))
             return numbers if len(numbers) == len(values) == len(self.zero) else None
-        except (TypeError, OverflowError):  # text, None, a whole number beyond any float
+        except (TypeError, OverflowError):  # text, None, an integer beyond any float
             return None
 
 

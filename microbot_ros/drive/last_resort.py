@@ -47,7 +47,7 @@ class LastResort:
         self._pipe = self._process.stdin
         self._feed = self._pipe.fileno()
         fcntl.fcntl(self._feed, fcntl.F_SETPIPE_SZ, _UNREAD_BYTES)
-        os.set_blocking(self._feed, False)  # a sentinel that hangs must not hold up the driver
+        os.set_blocking(self._feed, False)  # a sentinel that hangs must not block the driver
 
     def feed(self) -> bool:
         """Send a heartbeat if one is due; frequent calls cost nothing.

@@ -36,7 +36,7 @@ def request_low_latency(port: Any) -> bool:
     state = array.array('i', [0] * 32)
     with suppress(AttributeError, OSError, ValueError):
         port.set_low_latency_mode(True)
-        # Some adapters take the flag and forget it: what counts is what the system says after.
+        # Some adapters accept the flag and drop it, so read it back.
         fcntl.ioctl(port.fileno(), termios.TIOCGSERIAL, state)
     return bool(state[_FLAGS] & _LOW_LATENCY)
 

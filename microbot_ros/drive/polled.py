@@ -126,14 +126,14 @@ class PolledAmplifier(Amplifier):
         self._forget()
 
     def _forget(self) -> None:
-        self._order: Command | None = None  # the newest, until it goes out
+        self._order: Command | None = None  # the newest command, until it is sent
         self._flowing = False
         self._delivered_s = self.clock.now()
         self._due_s = 0.0
         self._inspection_s = self._delivered_s + _INSPECT_S
         self._begin_again()
 
-        self._others: set[int] = set()  # devices that are not what is expected
+        self._others: set[int] = set()  # wrong devices
 
     def _begin_again(self, first: Round | None = None) -> None:
         self._agenda = self._say_all(first)
@@ -222,7 +222,7 @@ class PolledAmplifier(Amplifier):
 
     def _abort(self, error: BaseException) -> None:
         reached = [device for device in self.devices if device not in self._others]
-        # An attempt to reconnect is repeated soon, and the zero with it; the first is not.
+        # An attempt to reconnect is repeated soon, with its zero; the first one is not.
         if self._lines:
             self._make_safe(reached, 0.0 if self._known else self.read_back_s)
 
@@ -240,7 +240,7 @@ class PolledAmplifier(Amplifier):
         until_s = self.clock.now() + patience_s
         waiting = set(devices)
         while waiting and (began_s := self.clock.now()) < until_s:
-            # What is damaged or lost is said again in the next pass, the zero with it.
+            # Damaged or lost requests, zeros too, are repeated in the next pass.
             sent = self._with_each(self._zero, waiting, attempts=1)
             found = self._with_each(partial(self._is_at_zero, until_s=until_s), waiting,
                                     attempts=1)

@@ -64,7 +64,7 @@ class Turning:
         ndarray, shape (N,)
             Currents [A].
         """
-        with np.errstate(invalid='ignore'):  # the gate tells what is not finite
+        with np.errstate(invalid='ignore'):  # the gate reports values that are not finite
             return self.driven(self.steady + self.per_direction @ np.asarray(direction))
 
 
@@ -163,7 +163,7 @@ class Rotation:
         (x, y, z), (a, b, d) = self._direction, self._turning.axis.tolist()
         turned = (c * x + s * (b * z - d * y), c * y + s * (d * x - a * z),
                   c * z + s * (a * y - b * x))
-        self._direction = _across(turned, (a, b, d))  # rounding does not add up
+        self._direction = _across(turned, (a, b, d))  # rounding errors do not accumulate
         self._t = now_s
 
 

@@ -50,7 +50,7 @@ def watch(silence_s: float, words: list[tuple[int, bytes]], feed: int) -> None:
         if not said:
             break
     for _ in range(REPEATS):
-        time.sleep(AGAIN_S)  # also the gap that ends what the host has left half said
+        time.sleep(AGAIN_S)  # also the gap that ends a packet the host left unfinished
         say(words)
 
 

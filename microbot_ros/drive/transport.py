@@ -106,7 +106,7 @@ class Port:
         """
         with self._named():
             descriptor = self.descriptor
-            # pyserial's spy logs what goes through its own methods alone.
+            # pyserial's spy logs only bytes that pass through its own methods.
             if descriptor is None or self.url.startswith('spy:'):
                 self._serial.write(data)
                 return
@@ -150,7 +150,7 @@ class Port:
     def wake(self) -> None:
         """Make a waiting `receive`, or else the next one, return at once; from any thread."""
         self._woken = True
-        # Not every kind of port can be woken; those that cannot look every 5 ms.
+        # Not every kind of port can be woken; the others check every 5 ms.
         with suppress(AttributeError, OSError, TypeError):
             self._serial.cancel_read()
 
@@ -181,7 +181,7 @@ class Port:
 
     def close(self) -> None:
         """Release the port; does nothing if it is released already."""
-        # Whatever a kind of port fails with must not keep its neighbours from being closed.
+        # No error of a port may prevent the others from being closed.
         with suppress(Exception):
             self._serial.close()
 

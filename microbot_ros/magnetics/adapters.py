@@ -42,7 +42,7 @@ class MagpylibSource:
             raise InputError('magpylib', 'expected it to be installed for a coil that is one of '
                              'its sources; pip install magpylib') from None
         if not 0 < step < math.inf:
-            raise InputError('step', f'expected a positive, finite length, got {step} m')
+            raise InputError('step', f'expected a positive, finite length; received {step} m')
         self._field, self._source, self._step = magpylib.getB, source, step
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:

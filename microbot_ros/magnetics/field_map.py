@@ -41,8 +41,9 @@ class FieldMap:
                  source: str | Path = 'field_map') -> None:
         from scipy.interpolate import NdBSpline, make_interp_spline
         if field.shape != (*map(len, places), 3) or not np.isfinite(field).all():
-            raise InputError(source, 'expected a finite field at each place of the grid, an array '
-                             f'of {(*map(len, places), 3)}, got one of {field.shape}')
+            raise InputError(source, 'expected a finite field at each place of the grid, an '
+                                     f'array of {(*map(len, places), 3)}; received one of '
+                                     f'{field.shape}')
         for name, along in zip('xyz', places, strict=True):
             if len(along) < 2 or not (np.isfinite(along).all() and (np.diff(along) > 0).all()):
                 raise InputError(source, f'expected two or more places along {name}, ascending')

@@ -110,13 +110,14 @@ def force_speed(
         If the magnitude is not positive or the coils cannot make it in every direction.
     """
     if not 0 < magnitude < math.inf:
-        raise InputError('magnitude', f'expected a positive field, got {magnitude} T')
+        raise InputError('magnitude', f'expected a positive field; received {magnitude} T')
     allocator = Allocator(coils)
     angles = np.linspace(0, 2 * np.pi, _DIRECTIONS, endpoint=False)
     wanted = magnitude * np.column_stack([np.cos(angles), np.sin(angles)])
     allocations = [allocator.allocate(field) for field in wanted]
     if any(allocation.saturated for allocation in allocations):
-        raise InputError('magnitude', f"expected a field in the coils' reach, got {magnitude} T")
+        raise InputError('magnitude', "expected a field in the coils' reach; received "
+                                      f'{magnitude} T')
     currents = np.array([allocation.currents for allocation in allocations])
     field = np.tensordot(currents, coils.field_per_ampere(points), 1)
     field[..., :coils.axes] += coils.background

@@ -140,7 +140,7 @@ class Winding(Settings):
             return np.array(self.vertices_mm)
         axis = np.array(self.axis)
         if not axis.any():
-            raise ValueError('axis: expected a direction, got a vector of no length')
+            raise ValueError('axis: expected a direction; received a vector of no length')
         axis /= np.linalg.norm(axis)
         across = np.cross((0.0, 0.0, 1.0), axis)
         across = across / np.linalg.norm(across) if across.any() else np.array([1.0, 0.0, 0.0])

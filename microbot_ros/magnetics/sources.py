@@ -83,7 +83,7 @@ def as_points(points: ArrayLike) -> np.ndarray:
     if array.ndim == 2 and array.shape[1] == 2:
         array = np.column_stack([array, np.zeros(len(array))])
     if array.ndim != 2 or array.shape[1] != 3:
-        raise InputError('points', f'expected an (M, 3) or (M, 2) array, got {array.shape}')
+        raise InputError('points', f'expected an (M, 3) or (M, 2) array; received {array.shape}')
     return array
 
 
@@ -111,7 +111,7 @@ class Loop:
         self, radius: float, centre: ArrayLike, axis: ArrayLike, turns: float = 1.0,
     ) -> None:
         if not 0 < radius < math.inf:
-            raise InputError('radius', f'expected a positive, finite length, got {radius} m')
+            raise InputError('radius', f'expected a positive, finite length; received {radius} m')
         self._wire = (_finite('centre', centre), _frame(_finite('axis', axis)), float(radius),
                       float(_finite('turns', turns)))
 
@@ -317,7 +317,7 @@ def _fill(
 def _finite(name: str, value: ArrayLike) -> np.ndarray:
     array = np.array(value, dtype=float, order='C')
     if not np.isfinite(array).all():
-        raise InputError(name, f'expected finite numbers, got {value!r}')
+        raise InputError(name, f'expected finite numbers; received {value!r}')
     return array
 
 
@@ -325,7 +325,7 @@ def _frame(axis: np.ndarray) -> np.ndarray:
     """Return a right-handed orthonormal frame with `axis` as its last column."""
     length = np.linalg.norm(axis)
     if not length > 0:
-        raise InputError('axis', 'expected a direction, got a vector of no length')
+        raise InputError('axis', 'expected a direction; received a vector of no length')
     z = axis / length
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)

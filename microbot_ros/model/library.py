@@ -79,7 +79,7 @@ def _load(point: EntryPoint) -> type[Effect]:
 def _missing(found: type[Effect], name: str) -> str:
     """Return what a class lacks to be an effect called `name`, or ''."""
     if getattr(found, 'id', None) != name:
-        return f"the 'id' {name}, as in the entry point; got {getattr(found, 'id', None)!r}"
+        return f"the 'id' {name}, as in the entry point; received {getattr(found, 'id', None)!r}"
     if getattr(found, 'stage', None) not in STAGES:
         return f"a 'stage' that is one of: {', '.join(STAGES)}"
     for what in _SAID:

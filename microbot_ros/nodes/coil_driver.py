@@ -33,8 +33,8 @@ from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode
 
 _WARM = 0.01
-"""Heat of a coil, as a part of the heat it bears, from which it is stored for a restart. Choice:
-less has no effect on the gate's decision."""
+"""Heat of a coil, as a part of the heat it bears, from which it is stored for a restart. Choice: 1
+% hardly changes a decision of the gate; less would write files for cold coils."""
 _REMIND_SECONDS = 0.2
 """Interval [s] of the messages that the gate is armed, while it waits for a zero. Choice: five a
 second reach a controller that was delayed."""
@@ -232,7 +232,7 @@ class CoilDriverNode(RigNode):
     def _on_rotating(self, message: TwistStamped) -> None:
         field, angular_velocity = messages.rotating_field(message)
         stamp = message.header.stamp
-        # Two topics keep no order: a rotation from before the field that stands is superseded.
+        # Two topics have no common order: ignore a rotation older than the constant field.
         if messages.to_seconds(stamp) >= self._stands_s:
             self._take('field/rotating', field, angular_velocity, stamp)
 
@@ -348,7 +348,7 @@ class CoilDriverNode(RigNode):
             if self._driver.epoch != epoch:
                 return STOPPED
             if time.monotonic() > deadline:
-                return 'nobody publishes field/command: start the controller first'
+                return 'no node publishes field/command: start the controller first'
             time.sleep(0.02)
         names, self._commander = found
         if len(names) > 1:
@@ -361,7 +361,7 @@ class CoilDriverNode(RigNode):
         if not request.data:
             return self._driver.request_zero()
         if header.source_timestamp * 1e-9 < self._driver.epoch_wall_s:
-            return -1  # it was sent before the last stop or fault, and waited
+            return -1  # sent before the last stop or fault, and delayed
         return self._driver.epoch
 
     def _on_arm(self, request: Any, response: Any, asked: Any) -> Any:
@@ -389,6 +389,6 @@ class CoilDriverNode(RigNode):
             return refusal
         refusal = self._driver.arm(epoch) or ''
         if not refusal:
-            self._on_commanders(None)  # one may have come or gone while arming went on
+            self._on_commanders(None)  # commanders may have changed while arming
             refusal = '' if self._driver.gate.armed else self._condition_of_coils()[1]
         return refusal

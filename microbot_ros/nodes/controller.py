@@ -107,7 +107,7 @@ class ControllerCore(Core):
         self._markers = self.publisher(MarkerArray, 'markers')
         self._markers_due = 0.0
         self._rotating = self.publisher(TwistStamped, 'field/rotating')
-        # Latched: who looks later is to know too where it goes.
+        # Latched, for viewers that start later.
         self._goals_taken = self.publisher(PointCloud2, '~/goals', LATCHED)
         self._path_taken = self.publisher(Path, '~/path', LATCHED)
         self.subscribe(PointCloud2, 'model/state', self._on_state, NEWEST)
@@ -196,22 +196,22 @@ class ControllerCore(Core):
         if refusal:
             self._refused = messages.to_seconds(header.stamp), refusal
             self.complain(refusal)
-            self.tell()  # at once, for those who wait for it
+            self.tell()  # at once, for waiting clients
         return bool(refusal)
 
     def _take_goals(self, header: Header, places: list[Point],
                     ids: np.ndarray | None = None) -> None:
         messages.in_workspace(header)
-        # To cancel is not to ask for something.
+        # Cancelling is never refused.
         if places and self._refuses(Input.GOALS if ids is None else Input.PARTICLE_GOALS, header):
             return
         self.stage.go_to(Goals(np.array([(p.x, p.y) for p in places]).reshape(-1, 2), ids))
         self._goals_stamp = messages.to_seconds(header.stamp)
         self._tell_goals(header.stamp)
-        self.tell()  # at once, for those who wait for it
+        self.tell()  # at once, for waiting clients
 
     def _tell_goals(self, stamp: Time) -> None:
-        """Say which goals it has since a `stamp`, whoever sent them and in whatever form."""
+        """Publish the present goals, with the stamp of their message."""
         goals = self.stage.goals
         points = np.zeros(len(goals), PLACE if goals.ids is None else GOAL)
         points['x'], points['y'] = goals.position.T
@@ -232,7 +232,7 @@ class ControllerCore(Core):
     def _on_plan(self, message: JointTrajectory) -> None:
         stamp = messages.to_seconds(message.header.stamp)
         if stamp == self._plan_stamp:
-            return  # told twice, it is not played twice
+            return  # a repeated message is not played twice
         if self._refuses(Input.PLAN, message.header):
             return
         try:
@@ -244,7 +244,7 @@ class ControllerCore(Core):
 
     def _on_joy(self, message: Joy) -> None:
         now = self.now_s
-        # A driver may leave the stamp out; one that is ahead of its time is not believed.
+        # A driver may omit the stamp; a stamp in the future is replaced.
         t = min(messages.to_seconds(message.header.stamp) or now, now)
         try:
             self.stage.move_joystick(np.array(message.axes[:2], float), t)

@@ -55,8 +55,8 @@ class ModelCore(Core):
         self.stage.field(*messages.field_at(message))
 
     def _on_command(self, message: Vector3Stamped) -> None:
-        # Its stamp is the exposure it answers; what passes until the field turns is a delay, and
-        # that is estimated.
+        # Its stamp is the exposure that it answers; the time until the field changes is a delay,
+        # which is estimated.
         self.stage.field(*messages.vector_at(message))
 
     def _on_particles(self, message: PointCloud2) -> None:

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from microbot_ros.session.mcap.recording import Message
 
 _CLOCK_SECONDS = 0.01
-"""Interval of `/clock` [s]. Choice: a tenth of the shortest timer of a node (0.1 s); half doubles
-the messages."""
+"""Interval of `/clock` [s]. Choice: shorter than a frame of most cameras; half doubles the
+messages."""
 _SETTLED_SECONDS = 0.5
 """Time [s] without a new listener before anything is sent: a late listener misses the beginning.
 Choice: half loses listeners that start slowly, twice delays every playback."""
@@ -239,7 +239,7 @@ class PlaybackPublishers:
     def __init__(self, node: RigNode, kinds: dict[str, type]) -> None:
         self._node = node
         self._clock = node.publisher(Clock, '/clock')
-        # A listener who takes no frames would cost a gigabyte in ten seconds.
+        # A listener that is slow on frames would cost a gigabyte in ten seconds.
         self._outlets = {name: node.publisher(kind, name, RELIABLE if kind is Image else KEPT)
                          for name, kind in kinds.items()}
 

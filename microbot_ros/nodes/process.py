@@ -23,7 +23,6 @@ from microbot_ros.nodes.base.names import LOOP_NODES, NODES
 from microbot_ros.nodes.base.participant import join, leave
 from microbot_ros.nodes.client.graph import READY, WORD
 
-# The end is noticed between two spins. The coils do not wait for that.
 _SPIN_SECONDS = 0.02
 """Longest spin of the executor [s]. Choice: the end is noticed between two spins; zeroing the
 coils does not wait for it."""
@@ -124,7 +123,7 @@ def _refuse_elsewhere(node: RigNode, arguments: list[str]) -> None:
 
 def _settle(name: str) -> None:
     """Prepare for the loop: everything slow is done, and every millisecond counts from now on."""
-    # What was imported lives for good; a full collection of it would take 40 ms, in a tick.
+    # Imported objects are permanent; collecting them would take 40 ms within a tick.
     gc.collect()
     gc.freeze()
     sys.setswitchinterval(SWITCH_S)

@@ -73,7 +73,7 @@ class RecorderNode(RigNode):
         if not lack('mcap'):
             from microbot_ros.session.mcap.bag import typestore
 
-            typestore()  # takes 0.1 s; frames would wait for it, and some be lost
+            typestore()  # takes 0.1 s, in which frames would be lost
         self._writer: RecordingWriter | None = None
         self._subject: dict[str, str] = {}
         self._attachments = {
@@ -195,7 +195,7 @@ class RecorderNode(RigNode):
 
         def take(data: bytes) -> None:
             now = self.get_clock().now().nanoseconds
-            # Simulated time is 0 until its clock is there.
+            # Simulated time is 0 until the first message of its clock.
             if self._writer is None or not now:
                 return
             if topic == _FRAMES and not self._wants_frame():
@@ -243,7 +243,7 @@ def _keep_files(writer: RecordingWriter, values: dict[str, Any], kept: set[str])
     for name, value in values.items():
         if name.endswith('_file') and value and value not in kept:
             kept.add(value)
-            with contextlib.suppress(InputError):  # the node itself has said what is wrong
+            with contextlib.suppress(InputError):  # the node itself reports the error
                 writer.attach(value, _content(value))
 
 

@@ -510,7 +510,7 @@ class Replay:
                     stage, self.plan.namespace, self._parameters.get(stage.node, {}), source,
                     writer, partial(kept_file, kept, Path(folder)))
                 player.run(end_ns)
-            # What the nodes took, so that `out` is a recording to replay again.
+            # The inputs of the nodes, so that `out` can be replayed again.
             taken = {*self.plan.played, f'{self.plan.namespace}/{LOG}'} & set(source.topics)
             given = {topic for topics in self.plan.answers.values() for topic in topics}
             for message in source.messages(taken - given, end_ns=end_ns):

@@ -42,8 +42,8 @@ from microbot_ros.virtual_rig.world import FieldHistory, World
 _REFERENCE_FIELD = 5e-3
 """Field [T] at which speeds and alignment are given: that of the paper, 5 mT."""
 _LONGEST_DELAY = 1.0
-"""Longest delay [s] of the field that a hidden effect may have. Choice: several times that of any
-rig; more keeps more changes in memory."""
+"""Longest delay of the field [s] for which changes are kept. Choice: a longer hidden delay is not
+exact; twice keeps twice as many changes."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class VirtualRigNode(RigNode):
         self._microscope = Microscope(self._microscope_settings, values.seed)
         self._world = self._make_world()
         self._microscope.render(self._world.position, self._world.heading, 0.0)  # compiles too
-        # Since ever nothing flows.
+        # No current has flowed before.
         self._changes = deque([(-1e9, np.zeros(len(self._coils.names)))])
         self._rolling = self._make_rolling() if values.gains_um_s_hz else None
         self._frames = 0
@@ -220,10 +220,10 @@ class VirtualRigNode(RigNode):
         self._longest = max(self._longest, spent)
 
     def _advance(self, now: float) -> None:
-        """Advance the world to `now` under the currents that flowed meanwhile."""
+        """Advance the world to `now` under the currents that flowed since the last frame."""
         changes = self._changes
         changes += [(t - self._begin, currents) for t, currents in self._log.read()]
-        # A hidden delay looks back; the last change before that still holds.
+        # A hidden delay refers to the past; the last change before it still holds.
         while len(changes) > 1 and changes[1][0] < self._world.t - _LONGEST_DELAY:
             changes.popleft()
         times, currents = map(np.array, zip(*changes, strict=True))

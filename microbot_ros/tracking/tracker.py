@@ -204,21 +204,21 @@ class Tracker:
     def _check(self, image: np.ndarray, drive: np.ndarray | None) -> None:
         if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or image.size == 0:
             raise FrameError(
-                f'expected (H, W) grey uint8 or uint16, got {image.shape} {image.dtype}')
+                f'expected (H, W) grey uint8 or uint16; received {image.shape} {image.dtype}')
         if self.size is None:
             self.size, self._dtype = image.shape, image.dtype
         if image.shape != self.size or image.dtype != self._dtype:
             raise FrameError(
-                f'expected {self.size[1]}×{self.size[0]} {self._dtype} as before, '
-                f'got {image.shape[1]}×{image.shape[0]} {image.dtype}')
+                f'expected {self.size[1]}×{self.size[0]} {self._dtype} as before; received '
+                f'{image.shape[1]}×{image.shape[0]} {image.dtype}')
         if drive is not None and not (
                 np.shape(drive) == (2,) and all(map(math.isfinite, drive))):
-            raise FrameError(f'expected a finite drive (2,), got {drive}')
+            raise FrameError(f'expected a finite field (2,); received {drive}')
 
     def _interval(self, t: float) -> float | None:
         """Return the time since the last frame [s]; None for the first."""
         if not math.isfinite(t):
-            raise FrameError(f'expected a finite time stamp, got {t}')
+            raise FrameError(f'expected a finite time stamp; received {t}')
         if t > self._last:
             dt = t - self._last if math.isfinite(self._last) else None
         elif t > self._refused and math.isfinite(self._refused):

@@ -183,8 +183,8 @@ def _without_noise(
     camera = scenario.camera.camera()
     if not isinstance(control, Commands) or camera.exposure > 0:
         raise InputError(
-            source, f"'physics': expected langevin with feedback or an exposure, "
-            f"got '{scenario.physics}'")
+            source, "'physics': expected langevin with feedback or an exposure; received "
+                    f"'{scenario.physics}'")
     frames = math.floor(scenario.duration_s * camera.frame_rate + 1e-9) + 1
     times = np.arange(frames) / camera.frame_rate
     if scenario.physics == 'first_order':

@@ -211,7 +211,8 @@ def test_maps_with_holes_and_maps_that_do_not_cover_the_workspace(
 
 
 @pytest.mark.parametrize(('arrays', 'complaint'), [
-    ({'field_mT_per_A': np.zeros((3, 2, 2, 3))}, r'an array of \(2, 2, 2, 3\), got one of \(3, 2'),
+    ({'field_mT_per_A': np.zeros((3, 2, 2, 3))},
+     r'an array of \(2, 2, 2, 3\); received one of \(3, 2'),
     ({'field_mT_per_A': np.full((2, 2, 2, 3), np.nan)}, 'expected a finite field'),
     ({'x_mm': np.array([1.0, -1.0])}, 'expected two or more places along x, ascending'),
     ({'z_mm': np.array([0.0, np.inf])}, 'expected two or more places along z'),

@@ -74,8 +74,9 @@ def spoilt(old, new):
     ('raise SystemError("first\\nsecond")', 'late = lab_bad:Late', 'SystemError: first second'),
     ('Late = 3', 'late = lab_bad:Late', "expected 'lab_bad:Late' to be a class that derives"),
     ('class Late: pass', 'late = lab_bad:Late', 'to be a class that derives from Effect'),
-    (HEAD + GOOD, 'later = lab_bad:Late', "expected the 'id' later, as in the entry point; got"),
-    (spoilt("    id = 'late'\n", ''), 'late = lab_bad:Late', "the 'id' late, .* got None"),
+    (HEAD + GOOD, 'later = lab_bad:Late', "expected the 'id' later, as in the entry point; "
+                                          'received'),
+    (spoilt("    id = 'late'\n", ''), 'late = lab_bad:Late', "the 'id' late, .* received None"),
     (spoilt("'heading'", "'steering'"), 'late = lab_bad:Late',
      "expected a 'stage' that is one of: field, heading, velocity, observation"),
     (spoilt("    summary = 'It is late.'\n", ''), 'late = lab_bad:Late', "expected a 'summary'"),

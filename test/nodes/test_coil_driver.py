@@ -236,7 +236,7 @@ def test_arming_is_for_somebody(emulator: Any, ros: Any) -> None:
     graph.until(lambda: not driver._commanders()[0])
     answer = _arm(graph)
     assert (answer.success, answer.message) == (
-        False, 'nobody publishes field/command: start the controller first')
+        False, 'no node publishes field/command: start the controller first')
 
 
 def test_a_second_commander_trips_and_both_are_named(emulator: Any, ros: Any) -> None:

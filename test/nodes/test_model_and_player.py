@@ -188,7 +188,7 @@ def test_rate_and_place_change_while_it_plays(ros: Any, session: Path) -> None:
     assert not tell(graph, rate=float('nan')).successful
     refused = tell(graph, seek_s=12.5)
     assert not refused.successful
-    assert 'seek: expected 0 to 12 s, got 12.5' in refused.reason
+    assert 'seek: expected 0 to 12 s; received 12.5' in refused.reason
     assert not tell(graph, rate=0.05).successful
     assert node.settings.seek_s == 10.0
     assert tell(graph, rate=100.0).successful

@@ -71,9 +71,9 @@ def test_a_bright_one_is_learned_as_bright() -> None:
 
 
 @pytest.mark.parametrize(('x', 'y', 'problem'), [
-    (260.0, 180.0, 'nothing is visible'), (300.0, 20.0, 'a point in the picture'),
-    (-3.0, 20.0, 'a point in the picture'), (math.nan, 20.0, 'a point in the picture'),
-    (math.inf, 20.0, 'a point in the picture'), (80.0, 50.0, 'two are equally near')])
+    (260.0, 180.0, 'nothing is visible'), (300.0, 20.0, 'a point in the image'),
+    (-3.0, 20.0, 'a point in the image'), (math.nan, 20.0, 'a point in the image'),
+    (math.inf, 20.0, 'a point in the image'), (80.0, 50.0, 'two are equally near')])
 def test_points_that_mean_nothing_are_refused(x: float, y: float, problem: str) -> None:
     pair = ((70.0, 50.0), 5.0, -70.0), ((90.0, 50.0), 5.0, -70.0)
     image = _picture(*(pair if x == 80 else _SCENE))

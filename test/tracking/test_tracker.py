@@ -113,7 +113,7 @@ def test_a_clock_set_back_for_good_is_followed(still: list[np.ndarray], tracker:
 def test_a_drive_is_two_finite_numbers(
     drive: object, still: list[np.ndarray], tracker: Tracker
 ) -> None:
-    with pytest.raises(FrameError, match='finite drive'):
+    with pytest.raises(FrameError, match='finite field'):
         tracker.update(still[0], 0.0, np.array(drive))
 
 

@@ -171,7 +171,7 @@ def _refuse(session: Path | None, graticule: Path | None, along_coils: bool,
     if along_coils and not graticule:
         raise InputError('--along-coils', 'expected with --graticule')
     if phi_deg is not None and not (session and -180 <= phi_deg <= 180):
-        raise InputError('--phi-deg', f'expected −180 to 180 with a SESSION, got {phi_deg}')
+        raise InputError('--phi-deg', f'expected −180 to 180 with a SESSION; received {phi_deg}')
 
 
 def _length(name: str, value_um: float | None, of: str, given: object) -> float:
@@ -179,7 +179,7 @@ def _length(name: str, value_um: float | None, of: str, given: object) -> float:
     if (value_um is None) != (given is None):
         raise InputError(name, f'expected together with {of}')
     if value_um is not None and not 0 < value_um <= plausible_range('_um')[1]:
-        raise InputError(name, f'expected a positive length, got {value_um}')
+        raise InputError(name, f'expected a positive length; received {value_um}')
     return to_si('_um', value_um or 0.0)
 
 
@@ -245,7 +245,7 @@ def _by_graticule(
         f'{found.period_px:.2f} px per line')
     if not along_coils:
         return part, image, found
-    # The nearest quarter turn to what is known already.
+    # The quarter turn nearest to the known rotation.
     before = part.rotation or 0.0
     square = (found.angle if part.mirrored else -found.angle) + before
     rotation = before - math.remainder(square, math.pi / 2)

@@ -95,7 +95,7 @@ def _phase(image: np.ndarray, lines: Graticule) -> float:
     """Return the position of the lines, dark or bright, in the period."""
     level = image.ravel() - image.mean()
     wave = np.sum(level * np.exp(2j * np.pi * _across(image, lines)))
-    # Lines take up less of a period than what is between them: they are the rarer extreme.
+    # Lines are narrower than the gaps between them: they are the rarer extreme.
     sign = 1.0 if np.mean(level**3) > 0 else -1.0
     return float(np.angle(sign * wave)) / (2 * math.pi)
 

@@ -150,8 +150,8 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
         sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer',
         '--link', str(port), '--log', str(log), '--full-scale-A', '2', *robots.emulator],
         says_when_ready='serving')
-    # The log must be there before the virtual rig reads it. Particles swim as soon as that
-    # lives: everybody else is to be there by then.
+    # The log must exist before the virtual rig reads it. Particles swim as soon as the rig
+    # runs, so all others must be ready before.
     others = (*NODES[:-1], *(['cockpit'] if cockpit else []))
     for nodes in (), others, NODES[-1:]:
         for node in nodes:
@@ -276,7 +276,7 @@ def _rig_file(folder: Path, port: Path, log: Path, seed: int, robots: Robots) ->
         'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
         'controller': {'controller': 'hold', 'open_loop.directions_deg': LEARN_DIRECTIONS_DEG,
                        'open_loop.durations_s': [1.0] * len(LEARN_DIRECTIONS_DEG)},
-        # A shared machine may pause for a tenth of a second; beside a rig the default is right.
+        # A shared machine may pause for 0.1 s; beside a rig the default is right.
         'coil_driver': {'port': str(port), 'command_timeout_ms': 250.0,
                         'max_command_age_ms': 250.0},
         'cockpit': {'recordings': str(folder)},

@@ -155,7 +155,7 @@ def summarise(run: DemoRun, goals: np.ndarray, armed_at: float) -> dict[str, Any
     end = truth[truth[:, 0] > truth[-1, 0] - LAST_SECONDS]
     error = np.hypot(*(end[:, 1:] - goals[-1]).T).mean()
     given = min((t for t, _ in run.goals), default=math.inf) - run.origin
-    # Nothing may be in flight at the end: what was exposed last had no time to be tracked.
+    # The last frames had no time to be tracked.
     expected = [t for t in run.truth if armed_at <= t <= max(run.truth) - 0.2]
     driver = run.health['coil_driver']
     return {

@@ -63,8 +63,8 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
       microbot discover --live --seconds 60 --out out/live
       microbot discover --drive --minutes 6 --out out/driven
     """
-    # Of matrices as small as these several threads make nothing but heat: five times the
-    # processor, and no time left for other jobs. Read by OpenBLAS when it is loaded, so from here.
+    # For such small matrices several threads only waste power: five times the processor
+    # time, none left for other jobs. OpenBLAS reads this when it is loaded.
     os.environ.setdefault('OMP_NUM_THREADS', '1')
     from rich.console import Console
 

@@ -148,7 +148,7 @@ def _tracking_error(client: GraphClient) -> float:
     client.watch_estimates(heard.append)
     if not client.until(lambda: heard and np.isfinite(heard[-1]['speed_std']).any(), APPROACH):
         return float('nan')
-    # The one nearest to the middle has most room.
+    # The particle nearest to the centre has most room.
     first = heard[-1][np.argmin(np.hypot(heard[-1]['x'], heard[-1]['y']))].copy()
     goal = np.array([first['x'], first['y']], float)
     client.set('controller', controller=CONTROLLER)

@@ -92,7 +92,7 @@ def command(
     from microbot_ros.nodes.process import run
     from microbot_ros.session.replay.playback import Playback, open_source
 
-    # What cannot be played is refused before a node starts, which would also log it.
+    # Refuse an unplayable recording before a node starts, which would also log it.
     with open_source(session) as source:
         Playback(source, 0.0, rate=rate or math.inf, start=start, end=end or None, loop=loop,
                  topics=topics or None)

@@ -67,5 +67,5 @@ def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
     if leave_nothing:
         if log is not None:
             log.unlink(missing_ok=True)
-        with suppress(OSError):  # somebody else has put something there
+        with suppress(OSError):  # the folder is not empty
             link.parent.rmdir()

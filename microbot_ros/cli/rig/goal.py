@@ -29,7 +29,7 @@ _JUDGED_SECONDS = 1.0
 reports five times a second."""
 
 
-# Unknown options are taken as positions, for those may begin with a minus sign.
+# Unknown options are positions, which may begin with a minus sign.
 @click.command(context_settings={'ignore_unknown_options': True})
 @click.argument('positions_um', nargs=-1, metavar='[X_UM,Y_UM]...')
 @click.option('--file', type=click.Path(path_type=Path),
@@ -133,7 +133,7 @@ def _refuse(client: GraphClient, what: str, stamp: float) -> None:
     heard = ['', '']
 
     def tell(_level: bytes, sentence: str, values: dict[str, str]) -> None:
-        # Until the next frame its poses are as good as stale.
+        # Until the next frame its poses count as stale.
         if float(values[f'{what}_stamp_s']) == stamp and values['result'] != 'stale poses':
             heard[:] = values['result'], sentence
 

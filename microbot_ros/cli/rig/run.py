@@ -57,7 +57,7 @@ def command(config: Path, arm: bool, cockpit: bool, namespace: str) -> None:
             with ending.interrupts():
                 graph.wait_ready()
                 _say('microbot', f'running: {", ".join(nodes)}; Ctrl-C stops')
-                with realtime_priority(LOOP):  # who is told to end must not wait for the loop
+                with realtime_priority(LOOP):  # ending must not wait for the loop
                     _watch(graph, arm, namespace)
         except InputError as error:
             raise refused(config, rig, namespace, error.source, error.expected) from None
@@ -74,7 +74,7 @@ def _watch(graph: Graph, arm: bool, namespace: str) -> None:
     last: dict[str, tuple[bytes, str]] = {}
 
     def heard(node: str, level: bytes, sentence: str, _values: dict[str, str]) -> None:
-        # A count that grows is the same state; another particle is another.
+        # A growing count is the same state; another particle is a new one.
         state = level, re.sub(r'(?<!particle )\b\d+(\.\d+)?', '#', sentence)
         if last.get(node) != state:
             last[node] = state

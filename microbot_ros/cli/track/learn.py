@@ -79,7 +79,7 @@ class PointType(click.ParamType):
         except (ValueError, IndexError):
             good = False
         if not good or (len(parts) == 4 and not parts[3]):
-            self.fail(f'expected {self.name}, numbers from 0, got {value!r}')
+            self.fail(f'expected {self.name}, numbers from 0; received {value!r}')
         return Point(frame, x, y, parts[3] if len(parts) == 4 else None)
 
 

@@ -194,7 +194,7 @@ class _Commanded:
         else:
             field = np.column_stack([columns['bx_mT'], columns['by_mT']])
             size = np.hypot(*field.T)
-            turns = size >= NEGLIGIBLE  # without a field, particles go on as they were
+            turns = size >= NEGLIGIBLE  # without a field, particles keep their direction
             drives = field[turns] / size[turns, None]
             self._rows = list(zip(columns['t_s'][turns], drives, strict=True))
         self._rows.reverse()

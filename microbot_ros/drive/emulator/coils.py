@@ -115,7 +115,7 @@ class Coils:
             self.zero('watchdog')
 
     def _settle(self, cause: str) -> None:
-        # Adding zero makes −0, which a log should not show, 0.
+        # Adding zero converts −0, which a log should not show, to 0.
         currents = tuple(share * wanted + 0.0
                          for share, wanted in zip(self._shares, self._wanted, strict=True))
         if currents == self.currents_A:

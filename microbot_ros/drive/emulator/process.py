@@ -94,7 +94,7 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
             lines.append(Line(path))
             stack.callback(lines[-1].unplug)
         stack.callback(coils.zero, 'power_off')
-        # A board has nothing else to do, and waits for no program of this machine.
+        # A real board is not delayed by other programs of this machine.
         set_realtime_priority_of_all(SAFETY)
         server = Server(device, lines, planned, sys.stdin.fileno() if '-' in faults else None)
         print('serving', protocol, 'at', *(line.link for line in lines), flush=True)

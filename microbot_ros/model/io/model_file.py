@@ -43,7 +43,7 @@ class _ModelFile(Settings):
                 raise ValueError(f"expected '{name}' of each {self.propulsion} particle")
         ids = [particle.id for particle in self.particles]
         if len(set(ids)) != len(ids):
-            raise ValueError(f'expected particles with different ids, got {ids}')
+            raise ValueError(f'expected particles with different ids; received {ids}')
         return self
 
 

@@ -1,1 +1,1 @@
-"""What every node is made of."""
+"""Common parts of all nodes."""

@@ -11,7 +11,6 @@ from rclpy.qos import QoSProfile
 
 from microbot_ros.nodes.base.messages import stamp_at
 
-# Small messages: deep enough for a replay at many times real time.
 RELIABLE = QoSProfile(depth=200)  # choice: deep enough for a replay at many times real time
 
 

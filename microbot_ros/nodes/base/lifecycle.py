@@ -24,13 +24,13 @@ from microbot_ros.nodes.base.log import Log
 from microbot_ros.nodes.base.messages import MessageError, to_seconds
 from microbot_ros.nodes.base.parameters import ParameterSet, refuse_unknown
 
-# For what is to be acted on: a node that was held up takes the newest, not a queue of old ones.
+# For commands: a delayed node receives the newest one, not a queue of old ones.
 NEWEST = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 """Keep the last message for later subscribers; depth 1 by definition."""
 # A best-effort subscriber matches every publisher of images, a reliable one only some.
 IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-IMAGES_OUT = QoSProfile(depth=5)  # choice: some frames, as memory is more scarce than history
+IMAGES_OUT = QoSProfile(depth=5)  # choice: a slow reader may be five frames late
 
 _LINE = 400
 """Longest status message [characters]. Choice: about one line of a wide terminal; half would hide
@@ -260,7 +260,7 @@ class RigNode(LifecycleNode, Core):
                 asked = (*asked, at_once(asked[0], header))
             aside(lambda: answer(callback(*asked), header))
 
-        # The executor answers with what the callback returns; this lets it go on instead.
+        # The executor would answer with the callback's result; this lets it continue instead.
         made.send_response = take  # type: ignore
         self._created.append((self.destroy_service, made))
 
@@ -285,7 +285,7 @@ class RigNode(LifecycleNode, Core):
         def logged(work: Callable[[], None]) -> None:
             try:
                 work()
-            except Exception:  # nobody looks at what a thread raises
+            except Exception:  # the exception would be lost in the pool
                 self.get_logger().error(f'{name}: {traceback.format_exc()}')
 
         def run(work: Callable[[], None]) -> None:
@@ -327,7 +327,7 @@ class RigNode(LifecycleNode, Core):
         self.make_safe()
         if self._state_machine.current_state[1] in ('unconfigured', 'inactive', 'active'):
             self.trigger_shutdown()
-        else:  # a signal came in the midst of a transition, as during the first compilation
+        else:  # a signal during a transition, such as the first compilation
             self._transition('shutdown', self._end)
 
     def complain(self, sentence: str) -> None:

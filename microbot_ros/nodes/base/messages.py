@@ -346,7 +346,7 @@ def gray(message: Image, colour: Weights | None = None) -> np.ndarray:
     rows = rows.reshape(message.height, message.step)[:, :width]
     pixels = np.ascontiguousarray(rows).view(depth).reshape(message.height, message.width, -1)
     if colour is not None:
-        from microbot_ros.tracking.locate.colour import weighted  # brings all of the tracker
+        from microbot_ros.tracking.locate.colour import weighted  # imports the whole tracker
 
         if message.encoding not in _TO_GRAY:
             raise MessageError('expected colour images, which distinguish the kinds; received '

@@ -108,7 +108,7 @@ def _participant(arguments: list[str] | None, context: Context | None) -> Contex
     rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
     if not _KEPT:
         atexit.register(_end_in_time)
-    # Named as ROS names what its tools are not to list.
+    # ROS tools do not list names with a leading underscore.
     _KEPT.append(Node(
         f'_microbot_{os.getpid()}', context=context, cli_args=[], use_global_arguments=False,
         enable_rosout=False, start_parameter_services=False,
@@ -126,8 +126,8 @@ def leave(status: int) -> NoReturn:
     """
     if not _KEPT:
         sys.exit(status)
-    atexit._run_exitfuncs()  # whoever else has something to close; the system does not call them
-    with suppress(OSError):  # nobody reads any more
+    atexit._run_exitfuncs()  # os._exit does not call them
+    with suppress(OSError):  # the reader is gone
         sys.stdout.flush()
         sys.stderr.flush()
     remove_own_shared_memory()

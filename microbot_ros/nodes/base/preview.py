@@ -79,7 +79,7 @@ class Preview:
                 image, self._waiting = self._waiting, None
             if image is None:
                 return
-            # A process of the loop has all its threads run in real time, this one too.
+            # All threads of a process of the loop have real-time priority, this one too.
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             try:
                 self._publisher.publish(preview(image))

@@ -1,1 +1,1 @@
-"""What runs, watches and asks the nodes of a rig from outside."""
+"""Clients that run, watch and ask the nodes of a rig from outside."""

@@ -59,7 +59,7 @@ class Described:
         self._values = {name: _plain(value)
                         for name, value in zip(self.names, values, strict=True)}
         for name, value in self._values.items():
-            # A number may be given as a whole one; that does not make it one.
+            # A number may be set to an integer value without becoming one.
             if self._types.get(name) != 'number':
                 self._types[name] = _type(value, self._descriptors[name])
         return self

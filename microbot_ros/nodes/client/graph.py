@@ -112,7 +112,7 @@ class Graph:
     def _start(self, name: str, command: Sequence[str], says_when_ready: str,
                is_node: bool) -> None:
         with self._starting:
-            # In a session of its own, so that Ctrl-C reaches only us.
+            # In its own session, so that Ctrl-C reaches only this process.
             process = subprocess.Popen(
                 command, env=self._environment, bufsize=0, stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True)
@@ -141,7 +141,7 @@ class Graph:
             for child in waiting:
                 ended = child.process.poll() is not None
                 if ended:
-                    self._read(child)  # its last words came before its end
+                    self._read(child)  # it may have printed lines before its end
                 if ended and not child.ready:
                     raise _reason(child)
                 if not child.ready and time.monotonic() > deadline:
@@ -182,7 +182,7 @@ class Graph:
             del child.said[:-20]
             twice = line == COMPILES and self._compiling
             self._compiling |= line == COMPILES
-            # Before it is ready a word of its own is the reason why it ends, told as such.
+            # Before it is ready, its own message is the reason of its end and reported as such.
             if not twice and (child.ready or not line.startswith(WORD)):
                 self._tell(child.name, line)
 
@@ -255,7 +255,7 @@ class Graph:
         self._await_end(children, math.inf)
         for child in children:
             self._read(child)
-            if _output(child) in self._selector.get_map():  # a child of its own has it open
+            if _output(child) in self._selector.get_map():  # a process that it started has it open
                 self._selector.unregister(_output(child))
             assert child.process.stdout is not None
             child.process.stdout.close()

@@ -88,7 +88,7 @@ class GraphClient:
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
         self.rig = RigClient(self.node)
-        # At once: by the time that somebody waits for an answer it has long been matched.
+        # Now, so that it is matched before an answer is awaited.
         self._progress_watchers: list[Tell] = []
         self.node.create_subscription(
             DiagnosticStatus, 'controller/progress', self._on_progress, 10)

@@ -136,7 +136,7 @@ class LiveSessionBuffer:
                 rows.popleft()
 
     def _take_applied(self, message: MagneticField) -> None:
-        # Stamped with the moment of the reading, however late it is heard of here.
+        # Its stamp is the time of the reading, however late the message arrives.
         field = message.magnetic_field.x, message.magnetic_field.y
         rows = self._commands.setdefault('field/command', deque())
         if not rows or math.dist(field, rows[-1][1:]) >= _SAME_FIELD:
@@ -148,7 +148,7 @@ class LiveSessionBuffer:
 
         def take(message: Any) -> None:
             # A command acts when it arrives; its stamp is the exposure that it answers. In a
-            # replay the clock of this machine says nothing, and the stamp is the best there is.
+            # replay this machine's clock is meaningless, and the stamp is the best estimate.
             t = messages.to_seconds(message.header.stamp)
             now = messages.to_seconds(self._client.node.get_clock().now().to_msg())
             _append(rows, now if abs(now - t) < _LIVE_SECONDS else t, value(message))

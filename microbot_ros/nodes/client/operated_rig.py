@@ -322,7 +322,7 @@ class OperatedRig(RigView):
         if on and not self._is_recording():
             await self._perform(self._client.set('recorder', title=title, notes=''))
         said = await self._perform(self._client.record(on))
-        deadline = time.monotonic() + rig_client.TAKE_S  # whoever notes now is to be believed
+        deadline = time.monotonic() + rig_client.TAKE_S  # so that a note that follows is accepted
         while self._is_recording() != on and time.monotonic() < deadline:
             await asyncio.sleep(_LOOK_S)
         return said

@@ -439,7 +439,7 @@ class RigClient:
         if publisher is None:
             publisher = self.publishers[topic] = self._node.create_publisher(
                 type(message), topic, 10)
-        # A recorder is to have it too: what is published before it is matched passes it by.
+        # For recorders too: a subscriber misses messages from before it is matched.
         yield (lambda: publisher.get_subscription_count() >= len(
             self._node.get_subscriptions_info_by_topic(topic))), MATCH_S
         deadline = time.monotonic() + TAKE_S

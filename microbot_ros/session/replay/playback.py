@@ -110,9 +110,9 @@ class Playback:
         self._topics = None if topics is None else _chosen(source, topics)
         length = (source.end_ns - source.start_ns) / 1e9
         if not 0 <= start <= length:
-            raise InputError('start', f'expected 0 to {length:g} s, got {start:g}')
+            raise InputError('start', f'expected 0 to {length:g} s; received {start:g}')
         if end is not None and not start <= end < math.inf:
-            raise InputError('end', f'expected {start:g} s or more, got {end:g}')
+            raise InputError('end', f'expected {start:g} s or more; received {end:g}')
         self._first = source.start_ns + round(start * 1e9)
         self._last = source.end_ns if end is None else min(
             source.end_ns, source.start_ns + round(end * 1e9))
@@ -233,7 +233,7 @@ class Playback:
         if not self._first <= position <= self._last:
             low, high = (
                 (limit - self._source.start_ns) / 1e9 for limit in (self._first, self._last))
-            raise InputError('seek', f'expected {low:g} to {high:g} s, got {seconds:g}')
+            raise InputError('seek', f'expected {low:g} to {high:g} s; received {seconds:g}')
         self._go_to(round(position), now)
 
     def step(self, now: float, topic: str | None = None) -> Iterator[Message]:
@@ -276,7 +276,7 @@ class Playback:
 
 def _checked_rate(rate: float) -> float:
     if not (SLOWEST <= rate <= FASTEST or rate == math.inf):
-        raise InputError('rate', f'expected {SLOWEST:g} to {FASTEST:g}, or inf, got {rate:g}')
+        raise InputError('rate', f'expected {SLOWEST:g} to {FASTEST:g}, or inf; received {rate:g}')
     return rate
 
 
@@ -286,6 +286,6 @@ def _chosen(source: Source, names: Collection[str]) -> list[str]:
         found = [topic for topic in source.topics if is_topic(topic, name.lstrip('/'))]
         if not found:
             there = ', '.join(sorted(source.topics)) or 'none'
-            raise InputError('topics', f'expected some of {there}, got {name}')
+            raise InputError('topics', f'expected some of {there}; received {name}')
         chosen += found
     return chosen

@@ -81,7 +81,7 @@ def _refine(image, xy, radius, edge, height, length, cut, noise):  # type: ignor
 
 @numba.njit(cache=True, nogil=True)
 def _fit(image, row, noise):  # type: ignore[no-untyped-def]
-    """Fit `row` = x, y, h, b, R, s in place; return σ of x and y [px], or −1 without a fit."""
+    """Fit `row` = x, y, h, b, R, s in place; return σ of x and y [px], −1 without a fit."""
     normal, gradient, slopes = np.empty((6, 6)), np.empty(6), np.empty(6)
     reach = row[4] + _REACH * row[5] + 1.5
     box = _window(image.shape, row, reach)

@@ -170,7 +170,7 @@ def unlike(
         The settings and the sentence.
     """
     if name is not None and name not in {kind.name for kind in settings.kinds}:
-        raise InputError('unlike', f'expected a kind that is known, got {name}')
+        raise InputError('unlike', f'expected a known kind; received {name}')
     if not settings.kinds:
         raise InputError('unlike', 'expected an example first (like): nothing is known yet')
     changed, said = settings, []
@@ -203,7 +203,7 @@ def forget(settings: TrackerSettings, name: str | None = None) -> tuple[TrackerS
         The settings and the sentence.
     """
     if name is not None and name not in {kind.name for kind in settings.kinds}:
-        raise InputError('forget', f'expected a kind that is known, got {name}')
+        raise InputError('forget', f'expected a known kind; received {name}')
     left = tuple(kind for kind in settings.kinds if name is not None and kind.name != name)
     places = settings.standing if left else ()
     return (settings.model_copy(update={'kinds': left, 'standing': places}),
@@ -238,8 +238,8 @@ def _meant(what: str, image: np.ndarray, x: float, y: float, known: Kind | None)
     """Return what a person means by pointing at (x, y), searched as a known kind, or as any."""
     height, width = image.shape
     if not (-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5):
-        raise InputError(what, f'expected a point in the picture of {width}×{height} pixels, '
-                               f'got {x:g},{y:g}')
+        raise InputError(what, f'expected a point in the image of {width}×{height} pixels; '
+                               f'received {x:g},{y:g}')
     if known is None:
         known = _way_to_look(what, image, x, y)
     bodies = _looked_at(image, known)

@@ -21,7 +21,7 @@ ENABLE, DUTY_PERCENT, CURRENT_MA = 0, 1, 5
 TEMPERATURES = range(7, 11)
 """Registers of the bridge's temperatures, in steps of 0.01 °C (same register map)."""
 
-# A late answer is nothing for the terminal; who wants to hear of it has a handler of their own.
+# Keep messages on late answers off the terminal; users may add their own handler.
 logging.getLogger('pymodbus.logging').addHandler(logging.NullHandler())
 _framer = FramerRTU(DecodePDU(is_server=False))
 Message = TypeVar('Message', bound=ModbusPDU)
@@ -142,7 +142,7 @@ def _message(slave: int, received: bytes, kind: type[Message]) -> Message | None
         _, message = _framer.handleFrame(received, slave, 0)
     except (ModbusException, struct.error, IndexError):
         return None
-    # The framer looks for a frame anywhere; only one that is all there is may pass.
+    # The framer searches anywhere; accept only a frame without other bytes.
     if not isinstance(message, kind) or _framer.buildFrame(message) != received:
         return None
     return message

@@ -55,7 +55,7 @@ class Bridges(Device):
         self._last_byte_s = now_s
         self._pending += data
         answers = b''
-        # A host that left the gap between two requests may be heard late, and both at once.
+        # Two requests with a proper gap may arrive late, both at once.
         while (request := self._next_request()) is not None:
             answers += self._obey(request)
         return answers

@@ -33,7 +33,7 @@ class RoboteqAmplifier(PolledAmplifier):
     resolution_A = codec.CURRENT_STEP_A
 
     def _identify(self, device: int) -> Talk[None]:
-        # Once more than needed: the echo of what switches it off comes before the answer.
+        # The echo of this command itself precedes the answer.
         yield Exchange(codec.END + codec.line('^ECHOF 1'),
                        lambda received: received.endswith(b'+' + codec.END) or None,
                        'the echo switched off')

@@ -17,7 +17,7 @@ from microbot_ros.drive.amplifiers.sabertooth import codec
 
 ADDRESSES = range(0x80, 0x88)
 """Addresses of the controllers, each of which has two channels (user manual)."""
-_BAUD = 9_600  # from the factory
+_BAUD = 9_600  # default of the controllers (user manual)
 _BYTE_S = 10 / _BAUD
 """Time of a byte on the line [s]: 10 bits (8N1)."""
 _LATEST_S = 0.07
@@ -57,9 +57,9 @@ class SabertoothAmplifier(Amplifier):
         steps = -(-(self.sample_s + _LATEST_S) // codec.TIMEOUT_STEP_S)
         self.timeout_s = float(steps * codec.TIMEOUT_STEP_S)
         """Time [s] without a packet after which the controllers stop."""
-        self._order: Command | None  # the newest, until it goes out
+        self._order: Command | None  # the newest command, until it is sent
         self._flowing: bool
-        self._free_s: float  # when the line has taken all
+        self._free_s: float  # time at which all bytes are transmitted
 
     def _open(self) -> None:
         self._order, self._flowing, self._free_s = None, False, -math.inf
@@ -68,14 +68,14 @@ class SabertoothAmplifier(Amplifier):
             codec.set_timeout(address, self.timeout_s) for address in self._addresses))
 
     def _end(self) -> Zero:
-        self._flowing = True  # the last zero goes out at once, not when the line is free
+        self._flowing = True  # send the last zero at once, not when the line is free
         return super()._end()
 
     def _send(self, command: Command) -> None:
         self._require_lines()
         flows = bool(np.any(command.currents_A))
         if self._flowing and not flows:
-            self._lines[0].discard_output()  # a packet that this cuts is none to the controllers
+            self._lines[0].discard_output()  # controllers ignore a truncated packet
             self._order = None
             self._say(*self._zeros())
         else:

@@ -29,7 +29,7 @@ class Controllers(Device):
 
     def receive(self, port: int, data: bytes, now_s: float) -> bytes:
         for byte in data:
-            # An address begins a packet, also in the midst of another.
+            # An address begins a packet, also within another.
             self._pending = bytes((byte,)) if byte > codec.FULL_DUTY else (
                 self._pending + bytes((byte,)) if self._pending else b'')
             if len(self._pending) == codec.PACKET_BYTES:

@@ -68,7 +68,7 @@ class ScpiAmplifier(PolledAmplifier):
         return fault and f'{self.urls[device]}: {fault}'
 
     def _zeros(self) -> list[bytes]:
-        # ESC discards what waits in the supply.
+        # ESC discards the supply's pending input.
         return [codec.CLEAR_INPUT + codec.line(codec.current(0.0))] * len(self.devices)
 
     def _switch_off(self, device: int) -> Talk[None]:
