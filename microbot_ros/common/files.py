@@ -46,7 +46,7 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
     Parameters
     ----------
     path : str or Path
-        File to read or write.
+        YAML file to read.
     settings : type[SettingsT]
         Class of the content.
 
@@ -79,7 +79,7 @@ def load_yaml(path: str | Path, loader: type[strict_yaml.StrictLoader] = strict_
     Parameters
     ----------
     path : str or Path
-        File to read or write.
+        YAML file to read.
     loader : type[strict_yaml.StrictLoader]
         Class that builds the content.
 
@@ -107,7 +107,7 @@ def line_of(path: str | Path, *keys: int | str) -> int | None:
     Parameters
     ----------
     path : str or Path
-        File to read or write.
+        YAML file to read.
     *keys : int or str
         Keys and indices from the root on.
 
@@ -154,9 +154,9 @@ def write_text(path: str | Path, text: str) -> None:
     Parameters
     ----------
     path : str or Path
-        File to read or write.
+        File to write; missing folders are made.
     text : str
-        The content.
+        New content of the file.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -188,6 +188,7 @@ def writing_report(path: Path) -> Iterator[None]:
     Yields
     ------
     None
+        Nothing; the context has no value.
     """
     try:
         yield

@@ -23,12 +23,12 @@ class FieldRecord:
         Parameters
         ----------
         t : float
-            Time [s].
+            Time since which the commands are needed [s].
 
         Returns
         -------
         bool
-            Whether they are.
+            Whether all commands since then are known.
         """
         return bool(self._steps) and self._steps[0][0] <= t
 

@@ -86,7 +86,9 @@ class Allocator:
     Parameters
     ----------
     coils : CoilSet
+        Coils with their limits and background.
     point : (3,) array [m]
+        Point at which the coils make the field.
 
     Raises
     ------
@@ -219,7 +221,9 @@ class Allocator:
         Parameters
         ----------
         field : (axes,) array [T]
+            Wanted field.
         pull : (axes,) array [T/m]
+            Wanted pull.
 
         Returns
         -------

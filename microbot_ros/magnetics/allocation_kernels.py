@@ -16,7 +16,7 @@ import numpy as np
 
 from microbot_ros.common.compiled import numba
 
-# Relative excess over a limit that counts as rounding.
+# Choice: relative excess over a limit that counts as rounding, some 500 units of a double.
 _AT = 1e-13
 # Choice: a limit is linearly dependent on the active ones if less than this part of it is new.
 _DEPENDENT = 1e-9
@@ -98,6 +98,7 @@ def within_limits(currents: np.ndarray, spare: np.ndarray, limits: np.ndarray) -
     spare : (N, S) array
         Directions that may be added, orthonormal in the heat.
     limits : (N,) array [A]
+        Largest absolute current of each coil.
 
     Returns
     -------
@@ -161,8 +162,11 @@ def together(
     Parameters
     ----------
     field : (axes,) array [T]
+        Wanted field, background included.
     pull : (axes,) array [T/m]
+        Wanted pull.
     background : (axes,) array [T]
+        Field without current.
     unlimited : (N, axes) array [A/T]
         Least-power currents per tesla.
     spare : (N, S) array

@@ -28,6 +28,7 @@ class FieldMap:
     places : tuple of three arrays [m]
         Increasing coordinates of the grid along x, y and z, two or more each.
     field : (X, Y, Z, 3) array [T/A]
+        Field per ampere at each position of the grid.
     source : str or Path
         Origin of the map, for messages.
 
@@ -117,7 +118,7 @@ def read_field_map(path: str | Path) -> FieldMap:
     Parameters
     ----------
     path : str or Path
-        File to read or write.
+        CSV file to read.
 
     Returns
     -------

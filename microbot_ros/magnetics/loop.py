@@ -99,7 +99,9 @@ def loop_field(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: floa
     Parameters
     ----------
     points : (M, 3) array [m]
+        Points at which the field is computed.
     centre : (3,) array [m]
+        Centre of the loop.
     axes : (3, 3) array
         The x, y and z axes of the loop as columns.
     a : float
@@ -107,6 +109,7 @@ def loop_field(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: floa
     turns : float
         Factor of the field.
     out : (M, 3) array
+        Receives the field per ampere [T/A].
     """
     block = np.empty((11, _BLOCK))
     for start in range(0, len(points), _BLOCK):

@@ -96,8 +96,11 @@ class Loop:
     Parameters
     ----------
     radius : float [m]
+        Radius of the loop.
     centre : (3,) array [m]
+        Centre of the loop.
     axis : (3,) array
+        Direction of the axis, of any length but zero.
     turns : float
         Factor of the field; negative for the opposite winding direction.
 
@@ -174,6 +177,7 @@ class Polyline:
     Parameters
     ----------
     vertices : (V, 3) array [m]
+        Ends of the segments, in the direction of positive current.
     turns : float
         Factor of the field.
 

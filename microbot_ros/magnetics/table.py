@@ -20,6 +20,7 @@ def read_table(
     Parameters
     ----------
     path : str or Path
+        CSV file to read.
     needed, optional : sequence of str
         Names of columns that must and that may be there.
 

@@ -458,12 +458,17 @@ def advance(
     Parameters
     ----------
     bodies : (N,) array of BODY
+        Particles, changed in place.
     middle : (K,) array [s]
+        Middle of each step.
     length : float [s]
+        Duration of a step.
     rows : (R,) array [s]
         Start of each row of `field` and `frequency`.
     field : (R, 1 or N, 2) array [T]
+        Field of each row.
     frequency : (R, 1 or N) array [Hz]
+        Frequency of a rotating field of each row.
     coils : array
         As `coil_gradients`.
     half_extent : (2,) array [m]
@@ -471,6 +476,7 @@ def advance(
     walls : (W, 4) array [m]
         Straight walls from x, y to x, y.
     rng : Generator
+        Source of random numbers.
     mean : (N, 2) array [m]
         The average position is added to it.
     touched : (N,) bool array
@@ -506,19 +512,25 @@ def advance_worlds(
     Parameters
     ----------
     bodies : (M, N) array of BODY
+        Particles of each world, changed in place.
     which : (K,) int array
+        Indices of the worlds that move.
     start : (M,) array [s]
         Present time of each world.
     duration : float [s]
+        Time by which they move.
     steps : int
+        Number of equal steps.
     rows : (R,) array [s]
         Start of each command.
     field : (M, R, 1, 2) array [T]
+        Field of each command.
     count : (M,) int array
         Number of commands so far.
     coils : array
         As `coil_gradients`.
     rng : Generator
+        Source of random numbers.
     mean : (M, N, 2) array [m]
         The average position is added to it.
     """

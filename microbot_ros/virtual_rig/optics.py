@@ -60,6 +60,7 @@ def draw_sphere(light: ndarray, x: float, y: float, heading: float, radius: floa
     Parameters
     ----------
     light : (H, W) array
+        Light of each pixel, changed in place.
     x, y : float
         Centre.
     heading : float [rad]

@@ -70,6 +70,7 @@ class World:
     bodies : (N,) array of BODY
         State and properties, changed in place; see `body.bodies`.
     rng : Generator
+        Source of random numbers.
     half_extent : (float, float) [m]
         Walls at ± this distance from the origin; particles stop at a wall and slide along it.
     walls : (W, 4) array [m]

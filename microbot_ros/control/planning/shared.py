@@ -80,14 +80,18 @@ def borders(workspace: Workspace, position: np.ndarray, velocity: np.ndarray,
     Parameters
     ----------
     workspace : Workspace
+        Rectangle that the particles must not leave.
     position : (N, 2) array [m]
+        Positions of the particles.
     velocity : (N,) complex array
         Velocity phasors c [m/s].
     margin : float [m]
+        Distance to keep from each border.
 
     Returns
     -------
     n : (4N,) complex array [m/s]
+        Normals of the constraints, four borders for each particle.
     h : (4N,) array [m]
         Negative for a particle nearer to a border than the margin, which must come back.
     """

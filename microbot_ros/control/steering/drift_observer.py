@@ -20,6 +20,7 @@ class DriftObserver:
     Parameters
     ----------
     position : complex [m]
+        Initial position.
     answer, answer_std : complex, float [m/s]
         Initial velocity phasor and its standard deviation.
     drift_std : float [m/s]

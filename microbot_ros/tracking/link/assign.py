@@ -46,6 +46,7 @@ def assign(
     Parameters
     ----------
     predicted : (N, 2) array [px]
+        Predicted positions.
     variance, reach : (N,) array [px²], [px]
         Variance per coordinate, and largest distance to search.
     looks : (N, F) array
@@ -53,8 +54,11 @@ def assign(
     unlikely : (N,) array
         −ln of the probability that each is visible.
     found : (M, 2) array [px]
+        Detected positions.
     noise : (M,) array [px²]
+        Variance of each detected position, per coordinate.
     found_looks : (M, F) array
+        Traits of the detections.
     spread : float
         Standard deviation of the traits from frame to frame.
     stranger : float

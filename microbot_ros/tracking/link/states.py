@@ -259,13 +259,17 @@ def initiate_tracks(
     Parameters
     ----------
     xy : (N, 2) array [px]
+        Detected positions.
     sigma, theta, contrast, radius : (N,) array
+        Standard deviation of the position [px], heading [rad], contrast and radius [px].
     kind : (N,) int array
+        Index of the kind of each particle.
     velocity_variance : float [px²/s²]
+        Initial variance of the velocity.
     phasor_variance : float
-        Variances of what is not known yet.
+        Initial variance of the velocity phasor.
     early_frames : int
-        Measurements to be kept.
+        Number of first measurements that are kept.
 
     Returns
     -------

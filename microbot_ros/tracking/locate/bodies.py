@@ -132,9 +132,11 @@ def find_bodies(
     Parameters
     ----------
     image : (H, W) array
+        Grey values of the picture.
     dark : bool
         Whether bodies are darker than the illumination, else brighter.
     least_height : float [grey]
+        Least contrast of a body.
     shrink : int
         Factor by which the picture is shrunk.
     widest_px : float

@@ -105,7 +105,7 @@ class Kind(Settings):
         Returns
         -------
         ndarray, shape (N,)
-            Whether each is.
+            Whether each body is of the kind.
         """
         values, ends = scaled(traits(bodies)), self.ranges
         slack = np.where(lenient[:, None], _LENIENT, 0.0)

@@ -42,8 +42,11 @@ def refine(
     Parameters
     ----------
     image : (H, W) array
+        Grey values of the picture.
     xy : (N, 2) array [px]
+        Centroids of the bodies.
     radius, edge : (N,) array [px]
+        Radius of each body and width of its edge, from which the fit starts.
     height : (N,) array [grey]
         Signed contrast.
     length : (N,) array

@@ -266,9 +266,11 @@ def fit(image, grid, spacing, parameters, active, table, reach, iterations, swee
     Parameters
     ----------
     image : (H, W) array
+        Grey values of the picture.
     grid : (h, w) array
         Background in cells of `spacing` px.
     spacing : int
+        Width of a cell of the background [px].
     parameters : (N, 6) array
         Start values (θ NaN: found from the picture), replaced by the fit.
     active : (N,) bool array
