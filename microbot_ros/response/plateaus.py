@@ -237,7 +237,7 @@ def _others_held(commands: Commands, level: np.ndarray, against: Against, end: f
         off = used & (np.abs(value - common) > 0.02 * abs(common))
         if off.any():
             name, unit, factor = units[other]
-            notes.append(f'{lasts[off].sum():.1f} s left out in which the {name} is not '
+            notes.append(f'{lasts[off].sum():.1f} s left out, in which the {name} is not '
                          f'{common * factor:.4g} {unit}')
             level = np.where(off, np.nan, level)
     return level, notes

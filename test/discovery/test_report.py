@@ -119,7 +119,7 @@ def test_the_summary_says_in_two_sentences_what_moves_particles_and_what_to_do(d
                       for one in bounded)
     unnamed = replace(found, verdict='unnamed', unexplained=left, next_experiment=None)
     for case, first, second in (
-            (named, 'lacks one effect: uniform drift (every particle is carried along',
+            (named, 'lacks one effect: uniform drift (all particles drift at the same',
              'predictions 1 s ahead miss by 0.1 µm beyond the noise, in place of 0.5 µm'),
             (replace(named, effects=(replace(drift, indistinguishable_from=('linear_flow',)),)),
              'uniform drift', 'fits linear flow as well: record the experiment proposed below'),

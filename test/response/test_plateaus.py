@@ -75,7 +75,7 @@ def test_what_else_was_commanded_is_held():
     session = rolling_recording(tilt=tilt)
     found = respond(session, 'frequency', 'motion')
     assert {one.level: one.visits for one in found.plateaus} == {1.0: 2, 2.0: 1, 5.0: 2}
-    assert found.notes == ['3.0 s left out in which the axis is not 90 ° from the vertical']
+    assert found.notes == ['3.0 s left out, in which the axis is not 90 ° from the vertical']
     against = respond(session, 'tilt', 'motion')
     assert len({one.level for one in against.plateaus}) <= 2
     assert 'in which the rotation is not' in against.notes[0]

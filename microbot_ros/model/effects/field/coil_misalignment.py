@@ -16,7 +16,7 @@ class CoilMisalignment(Effect):
 
     id = 'coil_misalignment'
     stage = 'field'
-    summary = 'The axis of the y coils leans towards that of the x coils.'
+    summary = 'The axis of the y coils is tilted towards that of the x coils.'
     required_excitation = 'commands in all directions'
     confounded_with = ('background_field', 'coil_gain_mismatch')
 

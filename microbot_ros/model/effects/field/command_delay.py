@@ -14,7 +14,7 @@ class CommandDelay(Effect):
 
     id = 'command_delay'
     stage = 'field'
-    summary = 'The field changes a fixed time after it is commanded.'
+    summary = 'The field follows the command with a fixed delay.'
     required_excitation = (
         'turns of the command by different angles, or of its strength or frequency')
     confounded_with = ('alignment_lag', 'heading_slip')

@@ -23,7 +23,7 @@ class PixelAnisotropy(Effect):
 
     id = 'pixel_anisotropy'
     stage = 'observation'
-    summary = 'The picture is stretched along one axis.'
+    summary = 'The image is stretched along one axis.'
     required_excitation = 'commands in all directions'
     confounded_with = ('coil_gain_mismatch',)
 

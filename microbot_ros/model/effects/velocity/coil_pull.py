@@ -22,7 +22,7 @@ class CoilPull(Effect):
 
     id = 'coil_pull'
     stage = 'velocity'
-    summary = 'Every particle is pulled along the field, towards the coil that makes it.'
+    summary = 'All particles are pulled along the field, towards the coil that makes it.'
     required_excitation = 'several field strengths; at one alone v and φ absorb it'
     confounded_with = ('incomplete_alignment', 'drive_response')
     proportional = True

@@ -30,12 +30,12 @@ class DriveResponse(Effect):
     stage = 'velocity'
     summary = 'The rolling speed is not proportional to the frequency: cut-in, slip or step-out.'
     required_excitation = (
-        'several rotation frequencies, visited in an order that is not also that of time')
+        'several rotation frequencies, in an order that does not follow time')
     confounded_with = ('speed_decay', 'incomplete_alignment', 'coil_pull')
     is_drive_curve = True
 
     cut_in: float = parameter('cut_in_hz', 'frequency of half the gain', 0.0, 20.0, 1.0)
-    slip: float = parameter('slip', 'part of the gain that is lost above', -2.0, 1.0, 0.3)
+    slip: float = parameter('slip', 'fraction of the gain that is lost above it', -2.0, 1.0, 0.3)
     step_out: float = parameter(
         'step_out_hz', 'frequency at which half the slip is reached', 0.1, 200.0, 10.0,
         null_value=10.0, shape=True,

@@ -33,7 +33,7 @@ class HotSpot(Effect):
     id = 'hot_spot'
     stage = 'velocity'
     summary = 'Particles are pushed away from (or drawn to) one heated place.'
-    required_excitation = 'tracks that pass on different sides of the place, at about its width'
+    required_excitation = 'tracks that pass the spot on different sides, at about its width'
     confounded_with = ('uniform_drift', 'linear_flow', 'gradient_force', 'speed_decay')
     proportional = True
     lookalike_time = 210.0  # a flow that differs from place to place: docs/decisions/asking.md

@@ -17,8 +17,9 @@ class HydrodynamicSlowdown(Effect):
 
     id = 'hydrodynamic_slowdown'
     stage = 'velocity'
-    summary = 'Particles are slower the nearer their neighbours are.'
-    required_excitation = 'several particles whose distances change, by a good part of their size'
+    summary = 'Particles are slower near their neighbours.'
+    required_excitation = (
+        'several particles whose distances change by a large fraction of their size')
     confounded_with = ('dipole_interaction',)
     needs_position = True
 

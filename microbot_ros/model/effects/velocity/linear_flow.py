@@ -17,7 +17,8 @@ class LinearFlow(Effect):
 
     id = 'linear_flow'
     stage = 'velocity'
-    summary = 'The liquid moves, faster further from the origin: shear, stretching or a vortex.'
+    summary = (
+        'The liquid flows, faster with distance from the origin: shear, stretching or a vortex.')
     required_excitation = 'positions spread over the workspace and visited more than once'
     confounded_with = ('uniform_drift', 'hot_spot', 'gradient_force')
     proportional = True

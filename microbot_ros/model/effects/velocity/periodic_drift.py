@@ -25,7 +25,7 @@ class PeriodicDrift(Effect):
 
     id = 'periodic_drift'
     stage = 'velocity'
-    summary = 'Every particle is swung to and fro at one frequency, whatever is commanded.'
+    summary = 'All particles oscillate at one frequency, whatever the command.'
     required_excitation = (
         'a recording of several periods; commands that do not repeat at the same period')
     confounded_with = ('uniform_drift',)

@@ -18,7 +18,8 @@ class SpeedDecay(Effect):
     id = 'speed_decay'
     stage = 'velocity'
     summary = 'All particles slow down exponentially as the fuel is used up.'
-    required_excitation = 'a recording of a good part of the decay that returns to earlier places'
+    required_excitation = (
+        'a recording of a large part of the decay that returns to earlier positions')
     confounded_with = ('hot_spot', 'incomplete_alignment', 'drive_response')
     time_invariant = False
     lookalike_time = 54.0  # a lamp, or warmth, that changes: docs/decisions/asking.md

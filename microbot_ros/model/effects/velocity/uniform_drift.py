@@ -17,7 +17,7 @@ class UniformDrift(Effect):
 
     id = 'uniform_drift'
     stage = 'velocity'
-    summary = 'Every particle is carried along at the same velocity, whatever is commanded.'
+    summary = 'All particles drift at the same velocity, whatever the command.'
     required_excitation = (
         'commands whose directions average out, so that propulsion does not hide it')
     confounded_with = ('background_field', 'linear_flow', 'periodic_drift', 'hot_spot')
