@@ -41,7 +41,10 @@ Choice: beyond them σ or D does not show at all.
 """
 
 VANISHING = 1e-200
-"""Power of a parameter's column, in units of the noise, below which its inverse would overflow."""
+"""Power of a parameter's column, in units of the noise, below which its inverse would overflow.
+
+Also the least determinant of the information on v and φ, of which a logarithm is taken.
+"""
 
 REMEMBERED = 12
 """Number of whitened columns of a session that are cached.
@@ -403,7 +406,8 @@ class SessionFit:
     def restricted_log_likelihood(self) -> float:
         """ℓ_R, by which noise levels for the same columns are compared."""
         (_, _, _), (_, a, b), (_, c, d) = self.gram[self.power > 0].transpose(1, 2, 0)
-        return self.log_likelihood - 0.5 * float(np.log(np.maximum(a * d - b * c, VANISHING)).sum())
+        determinant = np.maximum(a * d - b * c, VANISHING)
+        return self.log_likelihood - 0.5 * float(np.log(determinant).sum())
 
     @cached_property
     def residual(self) -> np.ndarray:
