@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import re
 import signal
 import sys
 import time
@@ -21,10 +20,6 @@ from microbot_ros.common.errors import clipped, one_line
 _PATIENCE_S = 10.0
 """Time [s] in which a discovery must write its results when it is ended. Choice: writing takes
 less on a slow disk."""
-
-
-_ODDS = re.compile(r'([\w ]+?) ([\d.]+)%')
-_LIKELIEST = 'likeliest: '
 
 
 def default_folder() -> Path:
@@ -189,19 +184,22 @@ class Discovery:
             with suppress(ProcessLookupError):
                 os.killpg(self._process.pid, number)
 
+    def _written(self, name: str) -> dict[str, Any]:
+        """Return the content of a file of results; empty if it is not there or not whole."""
+        with suppress(OSError, ValueError):
+            content = json.loads((self._out / name).read_text())
+            return content if isinstance(content, dict) else {}
+        return {}
+
     async def _follow(self, process: asyncio.subprocess.Process) -> None:
         """Keep the last line that the process prints, and at its end the result."""
         assert process.stdout is not None
         while data := await process.stdout.readline():
             if line := one_line(data.decode(errors='replace').strip()):
-                if line.startswith(_LIKELIEST):
-                    self._odds = {name.strip(): float(share) / 100 for name, share
-                                  in _ODDS.findall(line.removeprefix(_LIKELIEST))}
-                    continue
                 self._told = clipped(line) if len(line) > 300 else line
+            self._odds = self._written('progress.json').get('odds', {})
         status = await process.wait()
-        with suppress(OSError, ValueError):
-            self._result = json.loads((self._out / 'result.json').read_text())
+        self._result = self._written('result.json')
         if status:
             self._told = f'ended with status {status}: {self._told}'
         self._process = None

@@ -26,7 +26,7 @@ from itertools import compress, product
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from microbot_ros.discovery.learned.learn import Finding, learn_term
+from microbot_ros.discovery.learned.learn import Finding, learn_term, with_term
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.search import CandidateFit, compare, search, without
 from microbot_ros.estimation.likelihood.model_fit import (
@@ -441,7 +441,7 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
     Effects are added while the odds favour them, dropped when the odds no longer do, and exchanged
     for rivals that became likelier. The search ends when a set of effects repeats, and returns the
     likeliest model that it visited. If that model leaves fluctuating velocities, the search
-    continues from it with these in the noise of all fits.
+    continues from it with these in the noise of all fits, unless a learned term explains them.
 
     Parameters
     ----------
@@ -464,12 +464,39 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
     for effect in plain.model.effects:
         if effect.overrides('alignment_rate'):  # the noise filter has only one memory
             plain = without(plain, effect.id)
-    restless = unsteady(sessions, plain, known.fit)
-    if restless is None:
+    found = unsteady(sessions, plain, known.fit)
+    if found is None or _explained_by_term(sessions, plain, known, found[1], report):
         return known if len(known.slots) < FEW else _search(
             sessions, known.names, MOST, report, run)
     report('looking again beside speeds that fluctuate')
-    return _search(restless, [effect.id for effect in plain.model.effects], MOST, report, run)
+    return _search(found[0], [effect.id for effect in plain.model.effects], MOST, report, run)
+
+
+def _explained_by_term(sessions: Sequence[PreparedSession], plain: ModelFit, known: Hypotheses,
+                       evidence: float, report: Callable[[str], None]) -> bool:
+    """Return whether a learned term is likelier than speeds that fluctuate, and leaves none.
+
+    A speed that depends on place changes as the particle moves on, as a fluctuation does. The term
+    has to lead by RIVAL, since a curve of time follows the fluctuations of a single particle.
+
+    Parameters
+    ----------
+    sessions : sequence of PreparedSession
+        The sessions.
+    plain : ModelFit
+        Current fit, without effects that give headings a memory.
+    known : Hypotheses
+        Hypotheses of steady speeds.
+    evidence : float
+        Log evidence for the fluctuations beside the current fit.
+    report : callable
+        Receives one line of progress.
+    """
+    found = known.term_beside(known.fit, report)
+    if found is None or found.log_evidence < evidence + RIVAL:
+        return False
+    return unsteady(sessions, with_term(plain, found.term),
+                    with_term(known.fit, found.term)) is None
 
 
 def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int,

@@ -93,6 +93,8 @@ class CameraNode(RigNode):
         if stream:
             values |= {'size_px': f'{stream.format.width}×{stream.format.height}',
                        'clock': str(stream.format.clock)}
+            if self.settings.exposure_ms > 0:
+                values['exposure_ms'] = self.settings.exposure_ms
         since, self._told_lost = lost - self._told_lost, lost
         self._longest = 0.0
         if self._trouble:

@@ -171,6 +171,8 @@ class CoilDriverNode(RigNode):
             'commands_refused': self._refused, 'hottest_coil_percent': 100 * max(gate.heat),
             'self_check': self._self_check(), 'watchdog': self._watchdog(),
             'real_time': self._driver.real_time}
+        if gate.fault:
+            values |= {'fault_reason': gate.fault.reason.value, 'fault_detail': gate.fault.detail}
         return (*self._condition_of_coils(), values)
 
     def _condition_of_coils(self) -> tuple[bytes, str]:

@@ -99,7 +99,8 @@ class ModelNode(RigNode, ModelCore):
             'diffusion_um2_s': noise.diffusion * 1e12,
             'diffusion_std_um2_s': noise.diffusion_std * 1e12,
             'localisation_um': noise.localisation * 1e6,
-            'silence_s': silence}
+            'silence_s': silence,
+            **{f'unknown_because_{name}': why for name, why in found.unknown_because.items()}}
         if silence > SILENCE_SECONDS:
             return WARN, f'no particles for {silence:.0f} s', values
         if found.diagnosis:

@@ -71,7 +71,9 @@ def test_a_rig_that_is_not_armed_is_refused_at_once(stand_in: Any, tmp_path: Pat
 
 
 def test_odds_and_time_left_are_shown_while_it_drives(stand_in: Any, tmp_path: Path) -> None:
-    stand_in('print("likeliest: alignment lag 92.0%, nothing 7.5%", flush=True)\n'
+    stand_in('out.mkdir(parents=True)\n'
+             'found = {"odds": {"alignment_lag": 0.92, "": 0.075}}\n'
+             '(out / "progress.json").write_text(json.dumps(found))\n'
              'print("lag or delay: turns of 180°", flush=True); time.sleep(60)')
 
     async def run() -> dict[str, Any]:
@@ -84,7 +86,7 @@ def test_odds_and_time_left_are_shown_while_it_drives(stand_in: Any, tmp_path: P
         return state
     state = apart(run())
     assert state['sentence'] == 'lag or delay: turns of 180°'
-    assert state['odds'] == {'alignment lag': 0.92, 'nothing': 0.075}
+    assert state['odds'] == {'alignment_lag': 0.92, '': 0.075}
     assert 90 < state['left_s'] <= 120
     assert state['folder'].startswith(str(tmp_path / 'found'))
 

@@ -88,8 +88,9 @@ def test_few_rows_that_stand_out_are_cut(restless):
 def test_commands_that_act_early_or_late_are_found():
     session = check_sessions([rolled(3, 0.1, 0.5e-6, late=0.03)])[0]
     known = fit_first_order(session)
-    restless = unsteady(session, known, known)
+    restless, evidence = unsteady(session, known, known)
     assert restless[0].speeds_fluctuate
+    assert evidence > 0
     found = fit_first_order(restless).session_fits[0]
     assert found.jitter == pytest.approx(0.03, rel=0.35)
     assert found.fluctuation == pytest.approx(0.1, rel=0.4)

@@ -25,6 +25,7 @@ def swim(seconds, direction, *, wall=None, start=(0.0, 0.0), flow=(0.0, 0.0), se
         found = estimator.update(
             t, np.array([7]), (place + random.normal(0, READ, 2))[None], np.full(1, READ))
         told.append((t, float(found.speed[0]), found.diagnosis))
+        assert (7 in found.unknown_because) == ('particle 7: held' in ''.join(found.diagnosis))
         heading = angle + PHI
         place = place + (SPEED * np.array([np.cos(heading), np.sin(heading)]) + flow) / RATE
         place += random.normal(0, np.sqrt(2 * DIFFUSION / RATE), 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,7 +56,8 @@ def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
     kept = _Kept(out)
     with GraphClient('discover', namespace) as client:
         with DrivenRig(client, kept) as rig, Ending(rig.tell_to_end, find_launcher()):
-            driven = drive(rig, minutes, lambda line: progress.print(line, soft_wrap=True))
+            driven = drive(rig, minutes, lambda line: progress.print(line, soft_wrap=True),
+                           looked=lambda look: _show_odds(look.odds, out, progress))
         found = _write(driven, out, json_path, progress)
         use = use and bool(found.model.effects) and driven.decided == 'settled'
         try:
@@ -81,6 +83,17 @@ class _Kept:
         folder = self._out / f'experiment-{len(self.folders) + 1}'
         write_session(folder, session)
         self.folders.append(folder)
+
+
+def _show_odds(odds: Mapping[str, float], out: Path, progress: Console) -> None:
+    """Write probabilities by effect ('' for none) into `out`; print four on a terminal."""
+    from microbot_ros.common.files import write_text
+
+    write_text(out / 'progress.json', json.dumps({'odds': odds}, allow_nan=False) + '\n')
+    if progress.is_terminal and odds:
+        ranked = sorted(odds.items(), key=lambda one: -one[1])[:4]
+        progress.print('likeliest: ' + ', '.join(
+            f'{name.replace("_", " ") or "nothing"} {share:.1%}' for name, share in ranked))
 
 
 def _write(driven: Driven, out: Path, json_path: Path | None, progress: Console) -> Discovery:

@@ -2,6 +2,7 @@
 
 import { byId, setText } from './dom.js';
 import { age, clock, withUnit } from './numbers.js';
+import { ZERO } from './stop.js';
 
 const CHIPS = { armed: '◆ armed', disarmed: '◇ disarmed', fault: '✕ fault', unknown: '? unknown' };
 
@@ -22,7 +23,7 @@ function show(state) {
   byId('rig-chip').dataset.state = rig;
   setText(byId('rig-chip'), CHIPS[rig] + (state.attended ? ', attended' : ''));
   // Of a fault the whole stands above the parts.
-  setText(byId('rig-sentence'), rig === 'fault' ? named(state.sentence) : state.sentence ?? 'The coil driver has not reported yet.');
+  setText(byId('rig-sentence'), rig === 'fault' && state.fault ? `${state.fault.reason}${ZERO[state.zero] ? `; ${ZERO[state.zero]}` : ''}` : state.sentence ?? 'The coil driver has not reported yet.');
   setText(byId('fact-latency'), withUnit(state.latency_ms, 1, 'ms'));
   setText(byId('fact-picture'), state.picture_age_ms == null ? '–' : `${age(state.picture_age_ms)} old`);
   setText(byId('fact-recording'), recording(state.recording));
@@ -30,9 +31,6 @@ function show(state) {
   setText(byId('fact-link'), state.link?.age_ms == null ? 'up' : `${age(state.link.age_ms)} ago`);
   document.title = `${CHIPS[rig]} · cockpit`;
 }
-
-// 'disarmed, WHY (PARAMETERS): DETAIL; ZERO' is 'WHY; ZERO'.
-const named = (sentence) => [...new Set([sentence.split(/ \(|: |; /)[0].replace('disarmed, ', ''), sentence.split('; ').at(-1)])].join('; ');
 
 function showLost(seconds) {
   byId('rig-chip').dataset.state = 'unknown';

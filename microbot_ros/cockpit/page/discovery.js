@@ -57,8 +57,8 @@ function headline({ verdict, sentence, running }) {
 }
 
 function oddsRow([name]) {
-  return make('div', { class: 'odds' }, make('span', {}, words(name)),
-    make('meter', { min: 0, max: 1, 'aria-label': `odds of ${words(name)}` }), make('span', { class: 'number' }));
+  return make('div', { class: 'odds' }, make('span', {}, words(name || 'no effect')),
+    make('meter', { min: 0, max: 1, 'aria-label': `odds of ${words(name || 'no effect')}` }), make('span', { class: 'number' }));
 }
 
 const words = (id) => (id ? String(id).replaceAll('_', ' ') : '–');

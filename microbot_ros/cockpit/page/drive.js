@@ -22,7 +22,7 @@ export class Drive {
     if (!controller) return;
     const { name, available, parameters, takes } = controller;
     const summaries = new Map((available ?? []).map((one) => [one.name, one.summary]));
-    offer(byId('controller'), [...summaries.keys()], (one) => one.replaceAll('_', ' '));
+    offer(byId('controller'), [...summaries.keys()], (one) => `${summaries.get(one).replace(/\.$/, '')}: ${one.replaceAll('_', ' ')}`);
     setText(byId('controller-about'), byId('controller').value === name ? '' : summaries.get(byId('controller').value) ?? '');
     if (name !== this.name) {
       this.name = name;

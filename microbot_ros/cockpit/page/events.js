@@ -45,11 +45,11 @@ export function remedy({ cause, cure } = {}) {
 
 // Above the parts, whichever is in view, while a fault stands.
 export function whyPanel(link) {
-  link.on('state', ({ why, rig, sentence }) => {
+  link.on('state', ({ why, rig, sentence, fault }) => {
     byId('why').hidden = rig !== 'fault';
-    keyed(byId('why'), rig === 'fault' ? [{ sentence, ...why }] : [], (one) => JSON.stringify(one), (one) => {
+    keyed(byId('why'), rig === 'fault' ? [{ sentence, ...fault, ...why }] : [], (one) => JSON.stringify(one), (one) => {
       byId('panels').scrollTop = 0;
-      return make('span', {}, make('b', {}, `${one.sentence}.`), ...remedy(one));
+      return make('span', {}, make('b', {}, `${one.reason ?? one.sentence}.`), one.detail ? ` ${one.detail}.` : '', ...remedy(one));
     });
   });
 }

@@ -1,6 +1,7 @@
 // How the picture is looked at, by everybody: zoom, contrast, layers, a scale bar, the cursor in µm.
 
 import { byId, make, setText } from './dom.js';
+import { known } from './numbers.js';
 
 const LAYERS = ['rings', 'ids', 'headings', 'trails', 'goals', 'path', 'flow'];
 const LENGTHS_UM = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
@@ -31,10 +32,10 @@ export function lookPanel(link, view) {
     setText(byId('scale-cursor'), place ? `· ${place.map((one) => one.toFixed(1)).join(', ')} µm` : '');
   });
   stage.addEventListener('pointerleave', () => setText(byId('scale-cursor'), ''));
-  const stamps = [];
-  link.on('picture', ({ stamp }) => {
-    stamps.push(Number(BigInt(stamp) / 1000n) / 1e6);
-    if (stamps.length > 20) stamps.shift();
+  let frames = '';
+  link.on('state', ({ frames: now }) => {
+    frames = [known(now?.rate_hz) && `${now.rate_hz.toFixed(0)} frames/s`, known(now?.exposure_ms) && `exposed ${now.exposure_ms} ms`]
+      .filter(Boolean).map((one) => ` · ${one}`).join('');
   });
   setInterval(() => {
     byId('scale').hidden = !view.matrix;
@@ -42,7 +43,6 @@ export function lookPanel(link, view) {
     const perUm = view.scale / Math.hypot(view.matrix[0][0], view.matrix[1][0]);
     const length = LENGTHS_UM.findLast((one) => one * perUm <= LONGEST) ?? LENGTHS_UM[0];
     byId('scale-bar').style.width = `${length * perUm}px`;
-    const rate = (stamps.length - 1) / (stamps.at(-1) - stamps[0]);
-    setText(byId('scale-words'), `${length} µm${rate > 0 ? ` · ${rate.toFixed(0)} pictures/s` : ''}`);
+    setText(byId('scale-words'), `${length} µm${frames}`);
   }, 250);
 }

@@ -6,8 +6,9 @@ import { known } from './numbers.js';
 const RING = 11;
 const HEADING = 24;
 const ARROW = 26;
-// So much room a name beside a ring takes.
+// Height of a name beside a ring, and width of a letter.
 const LABEL = 36;
+const LETTER = 9;
 
 export class Overlay {
   constructor(view, tracks) {
@@ -91,7 +92,7 @@ export class Overlay {
   // Beside a ring at x, y, up and to the right; on the other side where the picture ends.
   #label(text, { id, kind }, x, y) {
     setText(text, kind ? `${id} ${kind}` : String(id));
-    const left = x + LABEL > this.view.width * this.view.scale;
+    const left = x + RING + LETTER * text.textContent.length > this.view.width * this.view.scale;
     text.setAttribute('text-anchor', left ? 'end' : 'start');
     text.setAttribute('x', left ? -RING - 3 : RING + 3);
     text.setAttribute('y', y < LABEL ? RING + 9 : -RING + 2);

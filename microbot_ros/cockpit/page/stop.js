@@ -8,7 +8,7 @@ const BY_HAND = 'Switch the amplifier off by hand.';
 const SLOW_MS = 500;
 const AGAIN_MS = 300;
 
-const WORDS = {
+export const ZERO = {
   confirmed: 'zero, confirmed by a reading',
   sent: 'zero sent, not confirmed',
   unreachable: 'NOT REACHABLE',
@@ -94,7 +94,7 @@ export class Stopper {
 
 function show(zero) {
   byId('stop').dataset.zero = zero ?? '';
-  setText(byId('zero'), WORDS[zero] ?? '');
+  setText(byId('zero'), ZERO[zero] ?? '');
 }
 
 function alarm(text) {

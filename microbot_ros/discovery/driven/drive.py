@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -218,7 +218,8 @@ def lasting(seconds: float) -> float:
 
 
 def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: None,
-          seed: int = 0, designer: Designer = choose_plan) -> Driven:
+          seed: int = 0, designer: Designer = choose_plan,
+          looked: Callable[[Look], None] = lambda _: None) -> Driven:
     """Drive a rig until the question of the missing effect is settled.
 
     Parameters
@@ -233,6 +234,8 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
         Seed of random plans.
     designer : Designer, optional
         Chooses the plans.
+    looked : callable, optional
+        Receives the summary of each look.
 
     Returns
     -------
@@ -259,8 +262,7 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
         result.looks.append(Look(
             plan.sentence(), played.stopped, rig.seconds, insight.judgement if insight else None,
             insight.known.odds() if insight else {}, saved))
-        if odds := result.looks[-1].odds:
-            report(_in_words(odds))
+        looked(result.looks[-1])
         plan = None
         if played.stopped:
             result.decided, result.reason = 'stopped', played.stopped
@@ -270,13 +272,6 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
             plan, saved = _next(result, insight, left, rig.limits, rng, designer)
             question = insight.question if insight else 'no result yet:'
     return result
-
-
-def _in_words(odds: Mapping[str, float]) -> str:
-    """Return the four likeliest explanations in one line."""
-    ranked = sorted(odds.items(), key=lambda one: -one[1])[:4]
-    return 'likeliest: ' + ', '.join(
-        f'{name.replace("_", " ") or "nothing"} {share:.1%}' for name, share in ranked)
 
 
 def _look(result: Driven, last: bool = False) -> Insight | None:

@@ -470,7 +470,7 @@ def _correlated(noise: Whitening, moved: np.ndarray, interval: np.ndarray,
 
 
 def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
-             best: ModelFit) -> list[PreparedSession] | None:
+             best: ModelFit) -> tuple[list[PreparedSession], float] | None:
     """Return sessions whose noise includes fluctuating speeds, where the data support it.
 
     By the restricted likelihood, with a cost of log n for each parameter of the noise and BEYOND
@@ -488,25 +488,27 @@ def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
 
     Returns
     -------
-    list of PreparedSession or None
-        None if all speeds are steady.
+    (list of PreparedSession, float) or None
+        The sessions, and the log evidence for the fluctuations, less their cost; None if all
+        speeds are steady.
     """
     numbers = 6 if fit.model.propulsion == 'rolling' else 5
-    restless, fluctuates = [], False
+    restless, evidence = [], 0.0
     for session, p, other in zip(sessions, fit.session_fits, best.session_fits, strict=True):
         one = session
         if not (session.speeds_fluctuate or remembers(fit.model, session)):
             least = max(p.restricted_log_likelihood, other.restricted_log_likelihood)
             found = fit_fluctuation(p, fit.model)
             gain = 2 * (found.restricted_log_likelihood - least)
-            if gain > numbers * math.log(2 * p.count) + BEYOND:
+            paid = gain - numbers * math.log(2 * p.count) - BEYOND
+            if paid > 0:
                 out = np.zeros_like(session.seen)
                 out[np.isin(session.times, p.session.times)] = np.abs(found.residual) ** 2 > (
                     2 * math.log(found.count / BY_CHANCE))
                 one = replace(session, speeds_fluctuate=True).cut_at(out)
-                fluctuates = True
+                evidence += paid / 2
         restless.append(one)
-    return restless if fluctuates else None
+    return (restless, evidence) if evidence else None
 
 
 def fit_fluctuation(fit: SessionFit, model: Model) -> SessionFit:

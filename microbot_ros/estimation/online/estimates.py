@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -67,6 +68,9 @@ class Estimates:
         Sentences on what makes numbers doubtful, and what to do.
     begun_anew : tuple of str
         Those on particles that were restarted in this frame because their predictions had failed.
+    unknown_because : mapping of int to str
+        Why v and φ of a particle are withheld, by its number: only of particles whose motion the
+        field does not explain.
     """
 
     t: float
@@ -88,6 +92,7 @@ class Estimates:
     noise: Noise
     diagnosis: tuple[str, ...] = ()
     begun_anew: tuple[str, ...] = ()
+    unknown_because: Mapping[int, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -123,6 +128,7 @@ class State:
 def answer(
     state: State, ahead: Step, shared: SharedKnowledge, conditions: Conditions,
     diagnosis: tuple[str, ...], begun_anew: tuple[str, ...], aging: complex,
+    unknown_because: Mapping[int, str],
 ) -> Estimates:
     """Convert the state of the filter to speed, φ, force and a prediction.
 
@@ -142,6 +148,8 @@ def answer(
         Sentences on restarted particles.
     aging : complex
         Factor by which the model has changed every v e^{iφ} since its start.
+    unknown_because : mapping of int to str
+        Why v and φ of a particle are withheld, by its number.
 
     Returns
     -------
@@ -163,7 +171,7 @@ def answer(
         force=force, force_std=force_std,
         prediction=as_vectors(prediction), prediction_std=prediction_std,
         delay=shared.delay.value, delay_std=shared.delay.std, noise=shared.noise,
-        diagnosis=diagnosis, begun_anew=begun_anew,
+        diagnosis=diagnosis, begun_anew=begun_anew, unknown_because=unknown_because,
     )
 
 

@@ -56,6 +56,9 @@ BEST = 0.01
 Choice: a σ of a tenth; a reading that claims more is not trusted.
 """
 
+_HELD = 'held by a wall or the edge of the image'
+_RESTLESS = 'neither field nor noise explains the motion'
+
 
 @dataclass(frozen=True)
 class _Frame:
@@ -349,8 +352,9 @@ class Estimator:
         now = self._t if math.isfinite(self._t) else 0.0
         ahead = self._propagator.look_ahead(
             self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), swarm)
+        unknown = dict.fromkeys(self._restless, _RESTLESS) | dict.fromkeys(self._held.held, _HELD)
         return answer(state, ahead, shared, self.conditions, told, begun_anew,
-                      self.model.gain_change_since_start(now))
+                      self.model.gain_change_since_start(now), unknown)
 
     def _note(self, text: str) -> None:
         """Keep a sentence for the diagnosis of the next seconds."""

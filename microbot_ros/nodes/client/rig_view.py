@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -56,7 +55,6 @@ _PERIOD_S = 1 / 30  # choice: the rate of the pictures
 _KEPT = 64
 """Number of frames whose particles or picture are awaited. Choice: one second at 60 Hz."""
 
-_UNKNOWN = re.compile(r'particles? ([\d, ]+): ([^;]*), so v and φ are not known')
 _KIND = np.dtype([('kind', '<u4')])
 _LEVELS = {b'\0': 'ok', b'\1': 'warn', b'\2': 'error', b'\3': 'stale'}
 
@@ -92,6 +90,7 @@ class RigView:
         self._camera: ImageToWorkspace | None = None
         self._seen: deque[tuple[int, bytes]] = deque(maxlen=_KEPT)
         self._shown: deque[int] = deque(maxlen=_KEPT)
+        self._frames: tuple[float, dict[str, float | None] | None] = -math.inf, None
         self._picture_s, self._picture_stamp = -math.inf, 0
         self._told_s = -math.inf
         self.kinds: list[str] = []
@@ -222,7 +221,18 @@ class RigView:
             place, _, name = f'/{status.name.split(":")[0]}'.rpartition('/')
             if (place or '/') == here and name != self._node.get_name():
                 values = {pair.key: pair.value for pair in status.values}
+                self._count_frames(name, values)
                 self._health[name] = time.monotonic(), status, values
+
+    def _count_frames(self, name: str, values: Mapping[str, str]) -> None:
+        """Derive the frame rate of a camera from two reports of it."""
+        if 'frames_published' in values and name in self._health:
+            now_s, (told_s, _, before) = time.monotonic(), self._health[name]
+            last, first = (_number(one.get('frames_published', math.nan)) or 0.0
+                           for one in (values, before))
+            self._frames = now_s, {
+                'rate_hz': _finite((last - first) / max(now_s - told_s, 1e-3)),
+                'exposure_ms': _number(values.get('exposure_ms', math.nan))}
 
     def _on_armed(self, message: Bool) -> None:
         self._armed = time.monotonic(), message.data
@@ -324,8 +334,11 @@ class RigView:
         rig, sentence, age = self._rig()
         return {
             'rig': rig, 'sentence': sentence, 'zero': self._zero(rig),
+            'fault': self._fault() if rig == 'fault' else None,
             'link': {'age_ms': _finite(1e3 * age)},
             'latency_ms': self._latency_ms(), 'picture_age_ms': self._picture_age_ms(),
+            'frames': self._frames[1] if time.monotonic() - self._frames[0] <= _SILENCE_S
+            else None,
             'recording': self.recording(), 'field': self._field(),
             'estimates': self._estimates(), 'currents_a': self._currents(),
             'health': self._nodes(), 'verdict': self._verdict}
@@ -368,6 +381,12 @@ class RigView:
         if status.level == b'\2':
             return 'fault', status.message, age
         return 'armed' if armed else 'disarmed', status.message, age
+
+    def _fault(self) -> dict[str, str] | None:
+        """Return reason and detail of the fault of the gate, if there is one."""
+        values = self._health['coil_driver'][2]
+        reason = values.get('fault_reason')
+        return {'reason': reason, 'detail': values.get('fault_detail', '')} if reason else None
 
     def _zero(self, rig: str) -> str | None:
         """Return the state of a zero: 'confirmed', 'sent' or 'unreachable'.
@@ -438,8 +457,7 @@ class RigView:
             points = messages.estimates(message)
         except messages.MessageError:
             return None
-        _, status, values = self._health.get('model', (0.0, DiagnosticStatus(), {}))
-        reasons = _reasons(status.message)
+        _, _, values = self._health.get('model', (0.0, DiagnosticStatus(), {}))
         diffusion, std = (_number(values.get(name, math.nan))
                           for name in ('diffusion_um2_s', 'diffusion_std_um2_s'))
         return [{
@@ -448,7 +466,7 @@ class RigView:
             'phi_std_deg': _finite(np.degrees(p['phi_std'])), 'd_um2_s': diffusion,
             'd_std_um2_s': std, 'force_pn': _finite(1e12 * p['force']),
             'force_std_pn': _finite(1e12 * p['force_std']),
-            'reason': reasons.get(int(p['id']))} for p in points]
+            'reason': values.get(f'unknown_because_{p["id"]}')} for p in points]
 
     def _nodes(self) -> list[dict[str, str]]:
         """Return the state of each node, including nodes that have gone silent."""
@@ -489,12 +507,6 @@ def particles_message(stamp: int, points: np.ndarray, kinds: list[str | None],
          'x_um': _finite(1e6 * point['x']), 'y_um': _finite(1e6 * point['y']),
          'heading_rad': _finite(point['theta']), 'sigma_px': _finite(point['sigma'] / size)}
         for point, (x, y), kind in zip(points, pixels.tolist(), kinds, strict=True)]}
-
-
-def _reasons(sentence: str) -> dict[int, str]:
-    """Return why nothing is known of a particle, by its number, from the model's sentence."""
-    return {int(name): reason for names, reason in _UNKNOWN.findall(sentence)
-            for name in names.split(', ')}
 
 
 def _json_in(text: str, topic: str) -> Any:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import io
 from typing import Any
 
+import hands
 import pytest
 from PIL import Image
+
+from microbot_ros.common.faults import catalogue
 
 pytestmark = pytest.mark.rig
 
@@ -169,6 +172,8 @@ def test_nothing_is_cut_at_any_size(open_page, rig, tmp_path, size) -> None:
     rig.told.update(rig='fault', sentence='disarmed, measured current deviates (deviation_A, '
                     'settling_ms): (0, 0, 0, 0) A measured, (0.799, 0.1, -0.3, 0.2) A '
                     'commanded; zero, confirmed by a reading', zero='confirmed',
+                    fault={'reason': 'measured current deviates', 'detail':
+                           '(0, 0, 0, 0) A measured, (0.799, 0.1, -0.3, 0.2) A commanded'},
                     field={'wanted_mT': [-12.93, -10.86], 'applied_mT': [-12.93, -10.86],
                            'measured_mT': [-12.93, -10.86]})
     page = open_page(viewport={'width': size[0], 'height': size[1]})
@@ -201,3 +206,82 @@ def test_each_part_is_one_click_away_at_any_size(open_page, size) -> None:
     for part in ('field', 'estimates', 'recording', 'discovery', 'health'):
         page.click(f'#tab-{part}')
         assert page.is_visible(f'#{part}')
+
+
+def test_every_fault_of_the_catalogue_is_shown_with_cause_and_cure(page, rig) -> None:
+    """As the sentence of a node, in the part Health and in the event log."""
+    every = {sentence.replace('…', '4'): cure for known in catalogue().values()
+             for sentence, (_, cure) in known.items()
+             if not cure.startswith(('See there', 'See the sentence'))}
+    assert len(every) > 120
+    rig.told = {**rig.told, 'health': [
+        {'name': f'node_{n}', 'level': 'error', 'sentence': sentence}
+        for n, sentence in enumerate(every)]}
+    for part, row in (('health', '#health-list li[data-level=error]'),
+                      ('events', '#event-list li.error')):
+        page.click(f'#tab-{part}')
+        page.wait_for_selector(f'{row}:nth-child({len(every)})')
+        without = page.locator(f'{row}:not(:has(.cure))').all_inner_texts()
+        assert without == []
+        told = page.locator(f'{row} .cure').all_inner_texts()
+        assert len(told) == len(every)
+        assert all(text.startswith('What to do: ') for text in told)
+
+
+def test_the_gates_fault_is_named_above_every_part(page, rig) -> None:
+    reason, detail = 'measured current deviates', '0 A measured, 0.8 A commanded'
+    rig.told.update(rig='fault', zero='confirmed', fault={'reason': reason, 'detail': detail},
+                    sentence=f'disarmed, {reason} (deviation_A): {detail}; zero')
+    page.wait_for_selector(f'#why b:has-text("{reason}")')
+    assert page.inner_text('#why').startswith(f'{reason}. {detail}. Cause: '.split(' Cause')[0])
+    assert page.inner_text('#rig-sentence') == f'{reason}; zero, confirmed by a reading'
+    assert page.locator('#why .cure').count() == 1
+
+
+@pytest.mark.parametrize('size', _SIZES)
+def test_the_tasks_of_a_first_time_operator_take_three_clicks_at_any_size(
+        open_page, rig, size) -> None:
+    page = open_page(viewport={'width': size[0], 'height': size[1]})
+    page.wait_for_selector('#arm:enabled')
+    page.evaluate("""() => { window.presses = 0;
+      addEventListener('pointerdown', () => { window.presses += 1; }, true); }""")
+    presses = []
+
+    def done() -> None:
+        presses.append(page.evaluate('window.presses') - sum(presses))
+
+    box = page.locator('#frame').bounding_box()
+    middle = box['x'] + box['width'] / 2, box['y'] + box['height'] / 2
+    page.hover('#arm')
+    page.mouse.down()
+    page.wait_for_selector('#rig-chip[data-state=armed]')
+    page.mouse.up()
+    done()
+    hands.mode(page, 'goal')
+    page.mouse.click(*middle)
+    rig.wait_for('goal')
+    done()
+    hands.mode(page, 'path')
+    hands.draw(page, [(middle[0] + 3 * k, middle[1]) for k in range(12)])
+    rig.wait_for('path')
+    done()
+    hands.part(page, 'recording')
+    page.click('#record')
+    page.wait_for_selector('#recording-now:has-text("● Recording")')
+    page.click('#note')
+    page.keyboard.type('a bubble')
+    page.keyboard.press('Enter')
+    rig.wait_for('note')
+    done()
+    page.click('#stop')
+    rig.wait_for('stop')
+    done()
+    assert page.is_visible('#recordings-now')
+    hands.part(page, 'discovery')
+    page.click('#discover')
+    page.wait_for_selector('#messages li.refused:has-text("not armed")')
+    done()
+    rig.told = {**rig.told, 'rig': 'fault', 'sentence': 'disarmed, coil heat: hot; zero'}
+    page.wait_for_selector('#why:visible .cure')
+    done()
+    assert presses == [1, 2, 2, 3, 1, 2, 0]
