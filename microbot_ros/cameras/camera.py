@@ -157,6 +157,7 @@ class CameraDriver(ABC):
     Parameters
     ----------
     wanted : CameraSettings
+        Requested settings.
     report : callable
         Takes a sentence about anything unusual.
     """

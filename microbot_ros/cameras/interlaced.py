@@ -30,7 +30,7 @@ def interlaced(pictures: Iterable[np.ndarray]) -> bool:
     Returns
     -------
     bool
-        Whether they are.
+        Whether the pictures are interlaced.
     """
     combed = striped = 0
     before = None

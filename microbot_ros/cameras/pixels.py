@@ -49,9 +49,11 @@ def picture(data: Any, encoding: str, height: int, width: int, stride: int = 0) 
     Parameters
     ----------
     data : buffer
+        Bytes of the picture, row after row.
     encoding : str
         One of `ENCODINGS`.
     height, width : int [px]
+        Size of the picture.
     stride : int
         Length of a row [bytes]; 0 if there is no padding.
 

@@ -78,6 +78,7 @@ def open_source(
     Parameters
     ----------
     source : str or Path
+        Video file, folder of images, or glob of images.
     report : callable
         Takes one line for everything that is skipped.
     frame_rate : float, optional
@@ -310,7 +311,7 @@ def read_picture(path: Path) -> np.ndarray:
     Parameters
     ----------
     path : Path
-        File to read or write.
+        Image file to read.
 
     Returns
     -------
@@ -340,12 +341,12 @@ def natural_order(path: Path) -> list[str | tuple[int, str]]:
     Parameters
     ----------
     path : Path
-        File to read or write.
+        Path that is sorted; the file is not opened.
 
     Returns
     -------
     list of str or tuple[int, str]
-        The key.
+        Text and numbers of the path, the numbers padded to 20 digits.
     """
     parts = re.split(r'(\d+)', str(path))
     return [f'{int(part):020d}' if part.isdigit() else part for part in parts]

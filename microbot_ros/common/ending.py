@@ -121,6 +121,7 @@ class Ending:
         Yields
         ------
         None
+            Nothing; the context has no value.
         """
         try:
             self._interruptible = True

@@ -92,6 +92,7 @@ def realtime_priority(priority: int) -> Iterator[None]:
     Yields
     ------
     None
+        Nothing; the context has no value.
     """
     set_realtime_priority_of_all(priority)
     try:

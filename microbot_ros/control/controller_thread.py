@@ -45,7 +45,9 @@ class ControllerThread:
     name : str
         Name in messages.
     controller : Controller
+        Controller that is called.
     patience : float [s]
+        Time after which a call is abandoned.
     worker : callable
         Makes the worker that calls the controller from the patience.
     """
@@ -79,7 +81,7 @@ class ControllerThread:
         parameters : object
             Parameters of the controller.
         seconds : float
-            Longest time to wait [s].
+            Longest time to wait [s]; configuring continues in the background after it.
         """
         if self._prepared is None or self._prepared[0] != parameters:
             self._aside.leave_behind()
@@ -113,7 +115,7 @@ class ControllerThread:
         parameters : object
             Parameters of the controller.
         seconds : float
-            Longest time to wait [s].
+            Longest time to wait for the controller [s].
         """
         self.prepare(parameters, seconds)
         assert self._prepared is not None
@@ -143,7 +145,7 @@ class ControllerThread:
         parameters : object
             Parameters of the controller.
         seconds : float
-            Longest time to wait [s].
+            Longest time to wait for the controller [s].
         """
         try:
             self.configure(parameters, seconds)
@@ -159,7 +161,7 @@ class ControllerThread:
         inputs : ControllerInput
             Input of the tick.
         deadline : float
-            Longest time to wait [s].
+            Time [s] after which the controller is late and is replaced.
         """
         controller, configured = self._controller, self._configured
 
@@ -181,7 +183,7 @@ class ControllerThread:
         inputs : ControllerInput
             Input of the tick.
         deadline : float
-            Longest time to wait [s].
+            Time [s] for the command, activation included, after which LateError is raised.
 
         Returns
         -------
@@ -201,7 +203,7 @@ class ControllerThread:
         Parameters
         ----------
         deadline : float
-            Longest time to wait [s].
+            Time [s] after which a busy controller is replaced.
         """
         if not self._active:
             return

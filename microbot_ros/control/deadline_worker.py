@@ -38,7 +38,7 @@ class Call(Generic[T]):
     Parameters
     ----------
     function : callable
-        The function.
+        Function without arguments.
     """
 
     def __init__(self, function: Callable[[], T]) -> None:
@@ -90,14 +90,14 @@ class DeadlineWorker:
         Parameters
         ----------
         function : callable
-            The function.
+            Function without arguments, called in the thread of the worker.
         deadline : float
-            Longest time to wait [s].
+            Time [s] after which LateError is raised.
 
         Returns
         -------
         T
-            Its value.
+            Value that the function returned.
         """
         self._check_last()
         self._waited_for = call = self.post(function)
@@ -115,12 +115,12 @@ class DeadlineWorker:
         Parameters
         ----------
         function : callable
-            The function.
+            Function without arguments, called in the thread of the worker.
 
         Returns
         -------
         Call[T]
-            The call.
+            Call whose `returned` is set at its end.
         """
         if self._thread is None:
             self._calls = queue.SimpleQueue()

@@ -73,6 +73,7 @@ class ControllerManager:
     Parameters
     ----------
     controllers : dict of str to Controller
+        Controllers of the rig by name.
     active : str
         The first active controller.
     deadline : float
@@ -130,7 +131,7 @@ class ControllerManager:
         Returns
         -------
         SwitchResult
-            Whether it was granted.
+            Whether the parameters were accepted, and if not why.
         """
         return self._try(name, lambda: self._threads[name].configure(parameters, seconds))
 
@@ -155,7 +156,7 @@ class ControllerManager:
         Returns
         -------
         SwitchResult
-            Whether it was granted.
+            Whether the change was made, and if not why.
         """
         before = {name: self._threads[name].parameters for name in parameters}
         taken: list[str] = []
@@ -200,7 +201,7 @@ class ControllerManager:
         Returns
         -------
         SwitchResult
-            Whether it was granted.
+            Whether the controller was switched, and if not why.
         """
         if name not in self._threads:
             known = ', '.join(self._threads)

@@ -60,6 +60,7 @@ def observation(
     Parameters
     ----------
     position, goals : (..., K, 2) array [m]
+        Position and goal of each particle.
     velocity_phasor : (..., K) complex array [m/s]
         A particle that does not move gets a path of 0.
     waiting : (..., K) bool array
@@ -67,6 +68,7 @@ def observation(
     share : (..., 2) array
         Present field over the largest allowed.
     workspace : Workspace
+        Rectangle in which the particles are.
 
     Returns
     -------

@@ -83,11 +83,13 @@ def opened(swarm: Swarm, limit: float, seconds: float, rng: np.random.Generator,
     Parameters
     ----------
     swarm : Swarm
+        State of the N particles.
     limit : float
         Largest field [T].
     seconds : float
         Duration of a command [s].
     rng : Generator
+        Source of the random commands.
     samples : int
         Number of commands.
 

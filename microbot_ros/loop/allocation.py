@@ -107,6 +107,7 @@ class AllocationStage:
         field : (3,) array [T]
             Field at the start of the rotation.
         angular_velocity : (3,) array [rad/s]
+            Along the axis of the rotation.
 
         Returns
         -------

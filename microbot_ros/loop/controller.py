@@ -131,6 +131,7 @@ class ControllerStage:
         Parameters
         ----------
         parameters : ControllerParameters
+            New parameters of the controller manager.
         controllers : mapping
             Parameters of controllers, by the name of the controller.
         restart : bool
@@ -270,6 +271,7 @@ class ControllerStage:
         Parameters
         ----------
         estimates : (N,) array of ESTIMATE
+            Estimated state of each particle in the frame.
         t : float
             Exposure of the frame [s].
         now : float

@@ -29,14 +29,16 @@ class FeltRotation:
 
         Parameters
         ----------
-        t
+        t : float
             Time of the command [s]. A command from before the newest one is superseded.
-        angular_velocity
-            Angular velocity (2,) [rad/s], zero for a field that stands.
+        angular_velocity : ndarray, shape (2,)
+            Angular velocity [rad/s], zero for a field that stands.
 
         Returns
         -------
-        None where a superseded command, or one more field that stands, changes nothing.
+        Rotation or None
+            None if nothing changes: the command is superseded, or the field stood before and
+            stands now.
         """
         superseded = self._commanded_t - SET_BACK < t < self._commanded_t
         if superseded or not (angular_velocity.any() or self._commanded.any()):

@@ -126,7 +126,7 @@ def read_readings(path: str | Path, settings: CoilSettings) -> Readings:
     Parameters
     ----------
     path : str or Path
-        File to read or write.
+        CSV file to read.
     settings : CoilSettings
         Settings of the coils.
 
@@ -157,6 +157,7 @@ def calibrate(readings: Readings, settings: CoilSettings, source: str | Path) ->
     Parameters
     ----------
     readings : Readings
+        Measured fields and the currents that made them.
     settings : CoilSettings
         Geometry of the coils; its gains and signs are ignored.
     source : str or Path
@@ -260,12 +261,15 @@ def with_coil_map(settings: CoilSettings, gain_ratio: float, skew: float, matrix
     Parameters
     ----------
     settings : CoilSettings
+        Coils as they were taken to be.
     gain_ratio : float
         Strength of the y pair over that of the x pair.
     skew : float
         Rotation of the y pair about the workspace centre towards +x [rad].
     matrix : (2, 2) array
+        Actual field per commanded field.
     offset : (2,) array [T]
+        Actual field at a commanded field of zero.
 
     Returns
     -------

@@ -94,10 +94,13 @@ def force_speed(
     Parameters
     ----------
     coils : CoilSet
+        Coils that make the field.
     points : (M, 3) or (M, 2) array [m]
+        Positions of the particle.
     magnitude : float
         Field at the centre [T].
     particle : MagneticParticle
+        Size and magnetisation of the particle, and viscosity of its fluid.
 
     Returns
     -------
@@ -138,10 +141,13 @@ def negligible_radius(
     Parameters
     ----------
     coils : CoilSet
+        Coils that make the field.
     magnitude : float
         Field at the centre [T].
     particle : MagneticParticle, optional
+        Particle that the force drags.
     fraction : float
+        Speed by the force over the particle's own, up to which the force is negligible.
     within : float
         Largest radius examined [m]; returned if the force is negligible up to it.
 

@@ -89,7 +89,9 @@ def fit_curve(frequency: np.ndarray, speed: np.ndarray, std: np.ndarray, robot: 
     Parameters
     ----------
     frequency : (N,) array [Hz]
+        Driven frequency of each measurement.
     speed, std : (N,) array [m/s]
+        Measured speed and its standard deviation.
     robot : (N,) int array
         Index of the robot from 0.
 

@@ -78,6 +78,7 @@ class OverlayVideo:
     size : (int, int) [px]
         Height and width of the frames.
     frame_rate : float [Hz]
+        Frame rate of the film.
     radius_px : float
         As in `draw_overlay`.
     """

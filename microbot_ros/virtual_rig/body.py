@@ -69,15 +69,21 @@ def bodies(
     Parameters
     ----------
     fluid : Fluid
+        Fluid that drags the particles.
     radius : (N,) array [m]
+        Radius of each sphere.
     moment : (N,) array or float [A·m²]
+        Magnetic moment.
     phi : (N,) array [rad]
+        Angle from the field to the heading of an aligned particle.
     position : (N, 2) array [m]
+        Position of each particle.
     speed : (N,) array or float [m/s]
         Of a swimmer with full fuel.
     gain : (N,) array or float [m/s/Hz]
         Of a roller.
     heading : (N,) array or float [rad]
+        Heading of each particle.
 
     Returns
     -------

@@ -25,12 +25,15 @@ def steps(
     Parameters
     ----------
     rng : Generator
+        Source of random numbers.
     duration : float [s]
+        Duration of all commands together.
     field : float or sequence [T]
         One level, or several to draw from at every step.
     dwell : (float, float) [s]
         Shortest and longest time, drawn evenly.
     centre, spread : float [rad]
+        Middle of the directions, and largest deviation from it.
     frequency : float or sequence, optional [Hz]
         For rollers, as `field`.
 

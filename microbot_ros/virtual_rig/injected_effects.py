@@ -107,9 +107,13 @@ def inject_effect(
     Parameters
     ----------
     bodies : (N,) array of BODY
+        Particles, changed in place.
     effect : str
+        Name of the effect.
     parameters : mapping of str to float or N floats
+        Values by name of the parameter.
     reference_field : float [T]
+        Field at which `tau_s` is the time constant.
     """
     check(effect, parameters)
     for name, value in parameters.items():

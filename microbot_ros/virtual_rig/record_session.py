@@ -64,11 +64,17 @@ def record_session(
     Parameters
     ----------
     world : World
+        Particles to film.
     control : Commands or Feedback
+        Commands, or a function of what was seen.
     camera : Camera
+        Camera that films.
     duration : float [s]
+        Duration of the film.
     rng : Generator
+        Source of random numbers.
     conditions : Conditions, optional
+        Conditions of the experiment.
 
     Returns
     -------
@@ -231,10 +237,15 @@ def draw_swarm(
     Parameters
     ----------
     rng : Generator
+        Source of random numbers.
     count : int
+        Number of particles N.
     fluid : Fluid
+        Fluid that drags the particles.
     reference_field : float [T]
+        Field at which the alignment time holds.
     radius : float [m]
+        Radius of every sphere.
     speed : (float, float) [m/s]
         Lowest and highest.
     half_extent, spacing : float [m]

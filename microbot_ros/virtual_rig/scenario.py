@@ -338,7 +338,7 @@ def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
     Parameters
     ----------
     path : Path
-        File to read or write.
+        YAML file to read.
 
     Returns
     -------

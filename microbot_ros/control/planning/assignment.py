@@ -31,7 +31,7 @@ class Assignment:
         Returns
         -------
         bool
-            Whether they are new.
+            Whether goals or assigned particles differ from those of the last call.
         """
         goals, kept = inputs.goals, self._goals
         same = np.array_equal(goals.position, kept.position)

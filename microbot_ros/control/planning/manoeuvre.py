@@ -71,18 +71,18 @@ def search(swarm: Swarm, task: Task, part: int = 0, parts: int = 1) -> Plan:
     Parameters
     ----------
     swarm : Swarm
-        The swarm.
+        State of the N particles.
     task : Task
-        The task.
+        Goals, largest field and obstacles.
     part : int
-        Number of the first candidate.
+        Number of the first candidate start that is tried, from 0.
     parts : int
-        Distance between candidates.
+        Step between the candidate starts that are tried; 1 tries all.
 
     Returns
     -------
     Plan
-        The plan.
+        Cheapest plan of those tried.
     """
     slowest = swarm.slowest * swarm.models[0].reference_field / task.limit
     far = float(np.abs(task.goal - swarm.position).max())

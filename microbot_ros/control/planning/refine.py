@@ -65,14 +65,14 @@ def improve(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout,
     task : Task
         The task.
     rollout : Rollout
-        Its prediction.
+        Prediction of the present plan.
     seconds : float
-        Longest time to wait [s].
+        Longest computing time of the solver [s]; unfinished work is discarded.
 
     Returns
     -------
     tuple[Plan, Rollout]
-        The plan and its prediction.
+        Improved plan and its prediction; those given if there is no improvement.
     """
     step = _solve(rollout, task, seconds)
     if step is None:

@@ -81,6 +81,7 @@ def compare(
     Parameters
     ----------
     a, b : Recording
+        Recordings to compare.
     topics : collection of str, optional
         By default every topic of either recording.
     stamps : collection of int, optional [ns]

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 LOG, PARAMETERS, EXPIRE, LET_GO = 'loop/log', 'parameters', 'expire', 'let_go'
 
 _APART_NS = 2_000_000_000
-"""Longest time [ns] between the receipt of a message by a node and by the recorder: seconds of a
-machine that swaps. Twice that needs twice the memory; at half, such a recording loses messages."""
+"""Choice: longest time [ns] between the receipt of a message by a node and by the recorder, which
+a machine that swaps delays by seconds. Twice that needs twice the memory; at half, such a
+recording loses messages."""
 
 
 class Entry(NamedTuple):

@@ -84,7 +84,9 @@ class Playback:
     Parameters
     ----------
     source : Source
+        Source of the messages.
     now : float [s]
+        Present time.
     rate : float
         Times real time, 0.1 to 100, or infinite for as fast as possible.
     start, end : float [s]

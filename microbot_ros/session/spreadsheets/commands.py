@@ -29,8 +29,8 @@ _LEAST_SHARE = 0.05
 0.05 of a unit would be a weak field in mT or G and a strong one in T.
 """
 _FOLLOWS, _CLEARLY_LESS = 0.7, 0.8
-"""Share of the path that must follow the commands where two sheets are tied by it alone, and the
-share of that above which the other way to tie them is as good."""
+"""Choices: share of the path that must follow the commands if it alone ties two sheets, and share
+of that above which the other way to tie them is as good."""
 _UPRIGHT = np.radians(1.0)
 """Choice: tilts that differ by less [rad] are the same axis; boards write 1.570796."""
 
@@ -46,7 +46,7 @@ def commands_in(columns: Sequence[Column]) -> bool:
     Returns
     -------
     bool
-        Whether they do.
+        Whether these columns hold commands.
     """
     roles = {column.role for column in columns}
     return 'direction' in roles or {'bx', 'by'} <= roles

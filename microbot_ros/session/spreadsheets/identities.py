@@ -19,12 +19,12 @@ from microbot_ros.session.spreadsheets.sheets import Assumptions
 # Choices. The usual step is the 95th percentile of a sheet's steps.
 _LEAP_STEPS = 6.0
 _LEAP = 10e-6
-"""A step longer than both, in usual steps and in metres, is a jump.
+"""Choice: a step longer than both, in usual steps and in metres, is a jump.
 
 The longest step of robots that roll at 20 Hz, over a skipped frame, is 3 usual ones.
 """
 _NEAR_STEPS, _NEAR_FRAMES = 4.0, 5.0
-"""Usual steps and frames within which a stretch continues where another ended."""
+"""Choices: usual steps and frames within which a stretch continues where another ended."""
 _FEWEST = 20
 """Choice: rows needed to know the usual step of a sheet."""
 

@@ -43,7 +43,7 @@ diffusion coefficient.
 _AGREES = 0.02
 """Choice: relative difference of a stated and a measured scale that is no conflict."""
 _PIXEL_UM = (0.01, 50.0)
-"""Pixel sizes [µm] of microscopes: from a 100x objective to a macro lens."""
+"""Choice: pixel sizes [µm] of microscopes, from a 100x objective to a macro lens."""
 _SPEED_UNITS = {'_um_s': 1e-6, '_mm_s': 1e-3, '': 1e-6}
 """Factors to m/s by suffix, by definition; without a suffix µm/s, as in most tables."""
 

@@ -361,7 +361,7 @@ def needed(
     Returns
     -------
     bool
-        Whether they do.
+        Whether the kinds replace the usual detector.
     """
     detector = KindsDetector(chosen.kinds, chosen.standing)
     both = missed = more = 0
