@@ -41,7 +41,10 @@ Choice: beyond them σ or D does not show at all.
 """
 
 VANISHING = 1e-200
-"""Power of a parameter's column, in units of the noise, below which its inverse would overflow."""
+"""Power of a parameter's column, in units of the noise, below which its inverse would overflow.
+
+Also the least determinant of the information on v and φ, of which a logarithm is taken.
+"""
 
 REMEMBERED = 12
 """Number of whitened columns of a session that are cached.
@@ -276,7 +279,7 @@ class SessionFit:
     @cached_property
     def power(self) -> np.ndarray:
         """Information (N,) on each axis of v e^{iφ}, times D; 0 where nothing drove it."""
-        power: np.ndarray = np.trace(self.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
+        power: np.ndarray = (self.gram[:, 1, 1] + self.gram[:, 2, 2]) / 2
         return power
 
     @property
@@ -300,7 +303,9 @@ class SessionFit:
     @cached_property
     def residual_sum_of_squares(self) -> float:
         """RSS [m²/s]: D times χ²."""
-        return float(eliminate(self.gram).sum())
+        own, along, across = self.gram[:, 0].T
+        phasor = self.velocity_phasor
+        return float((own - along * phasor.real - across * phasor.imag).sum())
 
     @cached_property
     def degrees_of_freedom(self) -> int:
@@ -400,8 +405,9 @@ class SessionFit:
     @cached_property
     def restricted_log_likelihood(self) -> float:
         """ℓ_R, by which noise levels for the same columns are compared."""
-        information = self.gram[self.power > 0][:, 1:, 1:]
-        return self.log_likelihood - 0.5 * float(np.linalg.slogdet(information)[1].sum())
+        (_, _, _), (_, a, b), (_, c, d) = self.gram[self.power > 0].transpose(1, 2, 0)
+        determinant = np.maximum(a * d - b * c, VANISHING)
+        return self.log_likelihood - 0.5 * float(np.log(determinant).sum())
 
     @cached_property
     def residual(self) -> np.ndarray:
@@ -700,7 +706,12 @@ def solve(square: np.ndarray, right: np.ndarray) -> np.ndarray:
     ndarray, shape (N, 2, M)
         Solutions; 0 for a matrix of zeros.
     """
-    power = np.trace(square, axis1=1, axis2=2)[:, None, None]
-    safe = square + np.where(power > 0, 1e-12 * power, 1.0) * np.eye(2)
-    solved: np.ndarray = np.linalg.solve(safe, right)
+    # By Cramer's rule: `np.linalg.solve` takes three times as long for so little.
+    a, b, c, d = square.reshape(-1, 4).T
+    power = a + d
+    safe = np.where(power > 0, 1e-12 * power, 1.0)
+    a, d = a + safe, d + safe
+    over = 1 / (a * d - b * c)
+    inverse = np.array([d * over, -b * over, -c * over, a * over]).T.reshape(-1, 2, 2)
+    solved: np.ndarray = inverse @ right
     return solved

@@ -445,18 +445,28 @@ def fluctuating(fit: SessionFit, time: float) -> Whitening:
     """
     interval = np.diff(fit.session.times)[:, None]
     moved = fit.moved
-    retention = np.exp(-interval / time)
-    # A deviation at the start of an interval acts for as long as it lasts.
-    sensitivity = moved * (1 - retention) * time / interval
     length = np.abs(moved)
     way = np.where(length > MOVES, moved / np.maximum(length, MOVES), 0)
     velocity = np.pad(moved / interval, ((1, 1), (0, 0)), mode='edge')
     # A change within one interval shows in three, by a half, all and a half of it: 3/2 in all.
     change = np.abs(velocity[2:] - velocity[:-2]) ** 2 / 1.5
+    return _correlated(replace(
+        fit.whitening, way=np.concatenate([way[:1], way]), change=change,
+        stride=way * np.sqrt(length)), moved, interval, time)
+
+
+def _correlated(noise: Whitening, moved: np.ndarray, interval: np.ndarray,
+                time: float) -> Whitening:
+    """Return `noise` with another correlation `time` [s] of velocities.
+
+    `moved` (T − 1, N) [m] is the motion in every `interval` (T − 1, 1) [s].
+    """
+    retention = np.exp(-interval / time)
+    # A deviation at the start of an interval acts for as long as it lasts.
+    sensitivity = moved * ((1 - retention) * time / interval)
     return replace(
-        fit.whitening, fluctuation=time, sensitivity=np.ascontiguousarray(sensitivity),
-        retention=np.ascontiguousarray(np.broadcast_to(retention, sensitivity.shape)),
-        way=np.concatenate([way[:1], way]), change=change, stride=way * np.sqrt(length))
+        noise, fluctuation=time, sensitivity=np.ascontiguousarray(sensitivity),
+        retention=np.ascontiguousarray(np.broadcast_to(retention, sensitivity.shape)))
 
 
 def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
@@ -540,10 +550,13 @@ def fit_fluctuation(fit: SessionFit, model: Model) -> SessionFit:
     high[[0, 2, 3]] = np.log([LARGEST * h, longest, 1 / LEAST])
     count = len(low) if rolls else len(low) - 1
 
+    some = replace(fluctuating(fit, longest), stretch=model.stretch)
+    moved, interval = fit.moved, np.diff(session.times)[:, None]
+
     def at(u: np.ndarray) -> SessionFit:
         around, speed, time, wander, jitter, uneven, *swing = np.exp(u).tolist()
         noise = replace(
-            fluctuating(fit, time), stretch=model.stretch, noise_ratio=around - h / 3,
+            _correlated(some, moved, interval, time), noise_ratio=around - h / 3,
             diffusion_ratio=speed, wander=wander, jitter_ratio=jitter, uneven_ratio=uneven,
             swing_ratio=swing[0] if rolls else 0.0)
         return SessionFit.of(session, noise, fit.expected)
