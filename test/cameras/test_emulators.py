@@ -117,7 +117,7 @@ def test_pixels_come_as_they_are(kind, source, pixel_format, encoding, shape, de
     ({'width_px': 90_000}, 'width_px must be'),
     ({'offset_x_px': 90_000}, 'offset_x_px must be'),
     ({'pixel_format': 'Mono7'}, 'pixel_format must be one of'),
-    ({'trigger': 'Line77'}, 'trigger must be one of|has no trigger to set'),
+    ({'trigger': 'Line77'}, 'trigger must be one of|trigger cannot be set'),
     ({'source': 'nobody'}, 'nobody'),
 ])
 def test_what_it_cannot_do_is_refused_in_a_line_and_leaves_it_free(

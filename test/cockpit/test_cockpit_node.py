@@ -139,7 +139,7 @@ def test_the_state_tells_how_the_rig_is(page: Page) -> None:
 def test_a_goal_is_shown_once_the_controller_has_it(page: Page) -> None:
     refused = page.ask('goal', x_um=12.5, y_um=-7.0)
     assert refused['ok'] is False
-    assert refused['reason'].startswith('hold takes no goals; these do: ')
+    assert refused['reason'].startswith('hold takes no goals; controllers that do: ')
     assert 'waypoint' in refused['reason']
     assert page.ask('switch_controller', name='waypoint')['ok']
     assert page.ask('goal', x_um=12.5, y_um=-7.0)['ok']
@@ -236,7 +236,7 @@ def test_a_refusal_to_arm_comes_word_for_word(page: Page, rig: Rig) -> None:
         until(page, lambda: '/intruder' in driver._commanders()[0])
         answer = page.ask('arm', attended=False)
         assert not answer['ok']
-        assert '2 publish commands, expected one' in answer['reason']
+        assert '2 nodes publish commands, expected one' in answer['reason']
         assert 'intruder' in answer['reason']
 
 

@@ -112,7 +112,7 @@ def test_what_waited_while_the_server_stood_still_is_not_done_but_stop(served: A
         page.say('stop', id=103)
         assert page.answer(103)['ok']
         assert [one['to'] for one in page.told
-                if one.get('kind') == 'answer' and 'stood still' in one['reason']] == [101, 102]
+                if one.get('kind') == 'answer' and 'was blocked' in one['reason']] == [101, 102]
         page.drain(0.7)
         assert page.ask('goal', x_um=1, y_um=0)['ok']
     assert served.rig.asked('stick') == served.rig.asked('arm') == []
