@@ -17,7 +17,9 @@ _SIZES = [(360, 640), (390, 844), (844, 390), (768, 1024), (1024, 768), (1440, 9
 
 # What is cut off: words wider than their box or, where nothing scrolls, higher; whatever lies
 # outside the window or over STOP.
-_CUT = """() => {
+# After two frames of the browser: the picture follows a change of its box in the next one.
+_CUT = """async () => {
+  await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
   const stop = document.querySelector('#stop'), red = stop.getBoundingClientRect();
   const end = document.querySelector('#panels').getBoundingClientRect().bottom;
   const cut = [];
