@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +40,7 @@ class FieldMap:
 
     def __init__(self, places: tuple[np.ndarray, ...], field: np.ndarray,
                  source: str | Path = 'field_map') -> None:
-        from scipy.interpolate import BSpline, make_interp_spline
+        from scipy.interpolate import NdBSpline, make_interp_spline
         if field.shape != (*map(len, places), 3) or not np.isfinite(field).all():
             raise InputError(source, 'expected a finite field at each place of the grid, an '
                                      f'array of {(*map(len, places), 3)}; received one of '
@@ -49,13 +48,14 @@ class FieldMap:
         for name, along in zip('xyz', places, strict=True):
             if len(along) < 2 or not (np.isfinite(along).all() and (np.diff(along) > 0).all()):
                 raise InputError(source, f'expected two or more places along {name}, ascending')
-        self._bases = []
+        knots, degrees = [], []
         for axis, along in enumerate(places):
             spline = make_interp_spline(along, field, min(3, len(along) - 1), axis=axis)
             # SciPy returns the coefficients with the interpolated axis first.
             field = np.moveaxis(spline.c, 0, axis)
-            self._bases.append(BSpline(spline.t, np.eye(len(along)), spline.k))
-        self._coefficients = np.ascontiguousarray(field)
+            knots.append(spline.t)
+            degrees.append(spline.k)
+        self._spline = NdBSpline(tuple(knots), np.ascontiguousarray(field), tuple(degrees))
         self._low, self._high = (np.array([along[end] for along in places]) for end in (0, -1))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
@@ -104,24 +104,9 @@ class FieldMap:
         """
         return float(np.minimum(point - self._low, self._high - point).min())
 
-    def _evaluate(self, points: np.ndarray, orders: Iterable[int]) -> np.ndarray:
-        """Return the derivative of the `orders` along x, y and z, shape (M, 3).
-
-        Same result as SciPy's `NdBSpline`, which SciPy 1.11 of Ubuntu 24.04 lacks.
-        """
-        inside = ((self._low <= points) & (points <= self._high)).all(-1)
-        near, weights = [], []
-        for basis, along, order in zip(self._bases, points[inside].T, orders, strict=True):
-            last = np.searchsorted(basis.t[basis.k + 1:len(basis.c)], along, 'right') + basis.k
-            nonzero = last[:, None] + np.arange(-basis.k, 1)
-            near.append(nonzero)
-            weights.append(np.take_along_axis(basis(along, order), nonzero, 1))
-        x, y, z = near
-        local = self._coefficients[
-            x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
-        result = np.full(points.shape, np.nan)
-        result[inside] = np.einsum('mx,my,mz,mxyzi->mi', *weights, local)
-        return result
+    def _evaluate(self, points: np.ndarray, orders: ArrayLike) -> np.ndarray:
+        """Return the derivative of the `orders` along x, y and z, shape (M, 3)."""
+        return np.asarray(self._spline(points, nu=orders, extrapolate=False))
 
 
 def read_field_map(path: str | Path) -> FieldMap:
