@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import math
 import os
 import select
 import termios
@@ -111,7 +110,7 @@ class Port:
                 self._serial.write(data)
                 return
             while data:
-                if not _ready(descriptor, select.POLLOUT, _WRITE_TIMEOUT_S):
+                if not select.select([], [descriptor], [], _WRITE_TIMEOUT_S)[1]:
                     raise TimeoutError(f'no byte could be written for {_WRITE_TIMEOUT_S:g} s')
                 data = data[os.write(descriptor, data):]
 
@@ -140,7 +139,7 @@ class Port:
             data = self._waiting()
             while not (data or self._woken) and (left := deadline - time.monotonic()) > 0:
                 if brief:
-                    _ready(self._serial.fileno(), select.POLLIN, left)
+                    select.select([self._serial], [], [], left)
                     data = self._waiting()
                 else:
                     data = bytes(self._serial.read(1)) + self._waiting()
@@ -193,16 +192,6 @@ class Port:
             yield
         except (OSError, TypeError, termios.error) as error:
             raise PortLostError(self.url, str(error)) from None
-
-
-def _ready(descriptor: int, event: int, timeout_s: float) -> bool:
-    """Wait at most `timeout_s` [s] for an `event` of select.poll; return whether it came.
-
-    Unlike select.select it takes descriptors of 1024 and more.
-    """
-    poller = select.poll()
-    poller.register(descriptor, event)
-    return bool(poller.poll(math.ceil(1000 * timeout_s)))
 
 
 class AbsentPort(Port):
