@@ -117,10 +117,10 @@ class CommandLog:
         bool
             False before the first field.
         """
-        rows = self._in_force(start)
-        first, after = rows[:, 1:3].any(axis=1)[:1], rows[1:]
-        return bool(first.any() and len(after)) and not after[
-            :max(int(np.searchsorted(after[:, 0], end)), 1), 1:3].any()
+        rows = self.rows
+        first = max(int(np.searchsorted(rows[:, 0], start, side='right')) - 1, 0)
+        last = max(int(np.searchsorted(rows[:, 0], end)), first + 1)
+        return bool(rows[:first, 1:3].any()) and not rows[first:last, 1:3].any()
 
     def forget_before(self, t: float) -> None:
         """Drop commands that `since` would not return, once these are many.
