@@ -1,8 +1,12 @@
 """A particle that a wall holds has no speed and says why; one that swims freely is never held."""
 
+from unittest import mock
+
 import numpy as np
 import pytest
 
+from microbot_ros.estimation import held as held_module
+from microbot_ros.estimation.held import SAMPLE, HeldWatch
 from microbot_ros.estimation.online.estimator import Estimator
 
 RATE, FIELD = 30.0, 5e-3
@@ -89,3 +93,12 @@ def test_what_drifts_to_the_edge_without_a_field_keeps_its_speed(seed):
     before, after = (speed for t, speed, _ in told if t in (10.0, told[-1][0]))
     assert after == pytest.approx(before, rel=0.02)
     assert before == pytest.approx(SPEED, rel=0.1)
+
+
+def test_a_particle_is_looked_at_once_for_every_sample():
+    """A look takes as long as a filter step, and finds nothing new before the next sample."""
+    watch, ids = HeldWatch(), np.array([3, 7])
+    with mock.patch.object(held_module, 'is_held', return_value=False) as look:
+        for frame in range(100):
+            watch.add(frame / 100, ids, np.zeros(2, complex), np.ones(2, bool), {})
+    assert look.call_count == len(ids) * round(1.0 / SAMPLE)

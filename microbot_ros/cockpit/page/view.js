@@ -38,7 +38,7 @@ export class View {
   // Without camera and picture: an empty ground, doubled until it holds all `particles`; their places on it.
   place(particles) {
     // Those that came before the node knew the camera lie nowhere in its picture.
-    if (this.camera || this.covered) return particles.filter(({ x_px }) => x_px !== null);
+    if (this.camera || this.covered) return particles.filter(({ x_px }) => this.camera && x_px !== null);
     const half = Math.max(this.matrix ? -this.matrix[0][2] : 50,
       ...particles.map(({ x_um, y_um }) => Math.max(Math.abs(x_um), Math.abs(y_um) * 4 / 3)));
     const pixel_size_um = 50 * 2 ** Math.ceil(Math.log2(half / 50) - 1e-9) / ((this.width - 1) / 2);
