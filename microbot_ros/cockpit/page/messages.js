@@ -26,6 +26,7 @@ export function say(level, text, topic = null, help = {}) {
   if (level === 'note') return;
   const { scrollHeight, clientHeight } = list.firstChild;
   byId('answer').hidden = !help.cure && scrollHeight <= clientHeight;
+  byId('answer').dataset.level = level;
   byId('answer-words').replaceChildren(...(byId('answer').hidden ? [] : [text, ...remedy(help)]));
   if (!byId('answer').hidden) byId('panels').scrollTop = 0;
 }
