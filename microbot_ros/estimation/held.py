@@ -43,6 +43,14 @@ SECONDS, SAMPLE = 12.0, 0.1
 Choice: a particle that left a wall is known again after 12 s; half the span has too few commands.
 """
 
+STILL, LOOSE = 3.0, 0.5
+"""Time [s] for which a particle that swam must stand still to be held under one command, and the
+fraction (`LOOSE`) of its speed before at which it is free again.
+
+Choice: half the time is a turn of heading that lags, twice shows a wrong speed for longer. At a
+quarter of the speed motion along the wall frees it, at all of it nothing does.
+"""
+
 ANOTHER = np.deg2rad(20.0)
 """Difference of direction [rad] above which a command is another one.
 
@@ -75,7 +83,7 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
     """
     if len(steps) < FEWEST_FRAMES or not swum.any():
         return False
-    c = np.vdot(swum, steps) / np.vdot(swum, swum)
+    c = _response(steps, swum)
     breadth = BORDER * float(np.sqrt(np.mean(np.abs(steps - c * swum) ** 2) / 2))
     out = (z[:, None] * NORMALS.conj()).real
     inwards = np.quantile(out, INNER, axis=0) - out
@@ -118,6 +126,7 @@ class HeldWatch:
         self._sampled = -np.inf
         self._turn = 0
         self._to_look_at: set[int] = set()
+        self._swam: dict[int, float] = {}  # speed before, of those that stand
 
     def add(self, t: float, ids: np.ndarray, z: np.ndarray, seen: np.ndarray,
             moved: dict[int, tuple[complex, complex]]) -> list[int]:
@@ -154,6 +163,7 @@ class HeldWatch:
             self._to_look_at = set(names)
             self._tracks = {name: self._tracks.get(name, deque(maxlen=round(SECONDS / SAMPLE)))
                             for name in names}
+            self._swam = {name: self._swam[name] for name in names if name in self._swam}
             for name, place, there in zip(names, z.tolist(), seen.tolist(), strict=True):
                 if there:
                     self._tracks[name].append((t, place, self._ways[name], self._carried[name]))
@@ -172,7 +182,36 @@ class HeldWatch:
         steps, joined = np.diff(z - carried), np.diff(t.real) < 3 * SAMPLE
         swum = np.diff(way)[joined]
         held = is_held(z[:-1][joined], steps[joined], swum, _legs(np.angle(swum)))
+        held |= self._stands(name, steps[joined], swum)
         (self.held.add if held else self.held.discard)(name)
+
+    def _stands(self, name: int, steps: np.ndarray, swum: np.ndarray) -> bool:
+        """Return whether a particle that swam now stands still, be it under one command."""
+        last = round(STILL / SAMPLE)
+        now, way = steps[-last:], swum[-last:]
+        if len(steps) < 2 * last or not (way.any() and swum[:-last].any()):
+            return name in self._swam
+        found = abs(_response(now, way))
+        if name in self._swam:
+            stands = found < LOOSE * self._swam[name]
+        else:
+            before, earlier = steps[:-last], swum[:-last]
+            c = _response(before, earlier)
+            spread = float(np.sqrt(np.mean(np.abs(before - c * earlier) ** 2) / 2))
+            expected, places = abs(c * way.sum()), np.cumsum(now)
+            moved = 2 * float(np.abs(places - places.mean()).max())
+            stands = (found < HELD * abs(c) and moved < HELD * expected
+                      and expected > 2 * SURE * spread * last ** 0.5)
+            if stands:
+                self._swam[name] = abs(c)
+        if not stands:
+            self._swam.pop(name, None)
+        return stands
+
+
+def _response(steps: np.ndarray, swum: np.ndarray) -> complex:
+    """Return the c that fits `steps` (T,) [m] best to c times `swum` (T,)."""
+    return complex(np.vdot(swum, steps) / np.vdot(swum, swum))
 
 
 def _legs(direction: np.ndarray) -> np.ndarray:

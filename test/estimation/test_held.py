@@ -90,9 +90,26 @@ def test_who_swims_freely_is_never_held(direction, flow, seed):
 def test_what_drifts_to_the_edge_without_a_field_keeps_its_speed(seed):
     """As after STOP: the field goes, the particle swims on, the edge of the picture stops it."""
     told = swim(40.0, every_way, wall=15e-6, start=(-5e-6, 0.0), driven=10.0, seed=seed)
-    before, after = (speed for t, speed, _ in told if t in (10.0, told[-1][0]))
-    assert after == pytest.approx(before, rel=0.02)
+    before = next(speed for t, speed, _ in told if t >= 10.0)
     assert before == pytest.approx(SPEED, rel=0.1)
+    later = np.array([speed for t, speed, _ in told if t > 10.0])
+    assert later[np.isfinite(later)] == pytest.approx(before, rel=0.02)
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+def test_what_one_command_presses_to_a_wall_has_no_speed_and_says_why(seed):
+    told = swim(40.0, lambda t: 0.9 * t if t < 8 else -PHI, wall=15e-6, start=(-5e-6, 0.0),
+                seed=seed)
+    assert 8 < held(told)[0] < 20
+    assert all(np.isnan(speed) for t, speed, _ in told if t > held(told)[0] + 0.1)
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+def test_it_is_known_again_once_another_command_leads_it_away(seed):
+    told = swim(50.0, lambda t: 0.9 * t if t < 8 else -PHI if t < 25 else np.pi - PHI + 0.4 * t,
+                wall=15e-6, start=(-5e-6, 0.0), seed=seed)
+    assert held(told)[0] < 20 < 25 < held(told)[-1] < 32
+    assert told[-1][1] == pytest.approx(SPEED, rel=0.15)
 
 
 def test_a_particle_is_looked_at_once_for_every_sample():
