@@ -29,6 +29,7 @@ from scipy.special import logsumexp, softmax
 from microbot_ros.discovery.learned.learn import Finding, learn_term, with_term
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.search import CandidateFit, compare, search, without
+from microbot_ros.estimation.likelihood.interruptions import interrupted
 from microbot_ros.estimation.likelihood.model_fit import (
     ModelFit,
     fit_sessions,
@@ -440,8 +441,9 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
 
     Effects are added while the odds favour them, dropped when the odds no longer do, and exchanged
     for rivals that became likelier. The search ends when a set of effects repeats, and returns the
-    likeliest model that it visited. If that model leaves fluctuating velocities, the search
-    continues from it with these in the noise of all fits, unless a learned term explains them.
+    likeliest model that it visited. Rows in which that model shows interruptions are left out, and
+    the search continues. If the model leaves fluctuating velocities, it continues with these in
+    the noise of all fits. Neither happens if a learned term explains the same.
 
     Parameters
     ----------
@@ -460,16 +462,41 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
         Current model, rivals and further candidates.
     """
     known = _search(sessions, taken, FEW, report, run)
-    plain = known.fit
-    for effect in plain.model.effects:
-        if effect.overrides('alignment_rate'):  # the noise filter has only one memory
-            plain = without(plain, effect.id)
+    sessions, known = _uninterrupted(sessions, known, report, run)
+    plain = _without_memory(known.fit)
     found = unsteady(sessions, plain, known.fit)
     if found is None or _explained_by_term(sessions, plain, known, found[1], report):
         return known if len(known.slots) < FEW else _search(
             sessions, known.names, MOST, report, run)
     report('looking again beside speeds that fluctuate')
     return _search(found[0], [effect.id for effect in plain.model.effects], MOST, report, run)
+
+
+def _uninterrupted(sessions: Sequence[PreparedSession], known: Hypotheses,
+                   report: Callable[[str], None], run: Run,
+                   ) -> tuple[Sequence[PreparedSession], Hypotheses]:
+    """Return the sessions without interruptions, and the hypotheses on what is left.
+
+    Both are as they were if there are no interruptions, or if fluctuating speeds or a learned term
+    are likelier.
+    """
+    found = interrupted(sessions, known.fit)
+    if found is None:
+        return sessions, known
+    restless = unsteady(sessions, _without_memory(known.fit), known.fit)
+    term = known.term_beside(known.fit, report)
+    if (restless and restless[1] > found[1]) or (term and term.log_evidence > found[1]):
+        return sessions, known
+    report('looking again without interruptions')
+    return found[0], _search(found[0], known.names, FEW, report, run)
+
+
+def _without_memory(fit: ModelFit) -> ModelFit:
+    """Return a fit without effects that give headings a memory: the noise filter has only one."""
+    for effect in fit.model.effects:
+        if effect.overrides('alignment_rate'):
+            fit = without(fit, effect.id)
+    return fit
 
 
 def _explained_by_term(sessions: Sequence[PreparedSession], plain: ModelFit, known: Hypotheses,
