@@ -11,7 +11,7 @@ from microbot_ros.estimation.likelihood.interruptions import RARE, interrupted
 RATE, SECONDS, SPEED, DIFFUSION = 25.0, 40.0, 6e-6, 0.1e-12
 
 
-def swum(seed, moves=lambda t, n: 1.0, lost=()):
+def swum(seed, moves=lambda *_: 1.0, lost=()):
     """Return a session of three swimmers whose velocity is `moves(t, n)` times the usual one.
 
     The rows of the command log with a number in `lost` are missing.
@@ -71,4 +71,4 @@ def test_commands_that_are_missing_in_the_log_interrupt_all_particles():
 
 def test_what_happens_for_much_of_the_time_is_no_interruption():
     part = 1.5 * RARE
-    assert searched(swum(3, lambda t, n: 0.0 if t % 10 < 10 * part else 1.0))[1] is None
+    assert searched(swum(3, lambda t, _: 0.0 if t % 10 < 10 * part else 1.0))[1] is None
