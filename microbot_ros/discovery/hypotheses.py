@@ -477,18 +477,25 @@ def _uninterrupted(sessions: Sequence[PreparedSession], known: Hypotheses,
                    ) -> tuple[Sequence[PreparedSession], Hypotheses]:
     """Return the sessions without interruptions, and the hypotheses on what is left.
 
-    Both are as they were if there are no interruptions, or if fluctuating speeds or a learned term
-    are likelier.
+    Interruptions are looked for beside the current model, and in place of all its effects. Both
+    results are as before if nothing is found, or if fluctuating speeds or a learned term are
+    likelier beside the current model.
     """
-    found = interrupted(sessions, known.fit)
-    if found is None:
+    beside = [(known.fit, known.names, known.evidence)]
+    if known.slots:
+        beside.append((known.start, (), 0.0))
+    found = [(one[1] + evidence, one[0], names) for fit, names, evidence in beside
+             if (one := interrupted(sessions, fit))]
+    if not found:
         return sessions, known
+    most, rest, names = max(found, key=lambda one: one[0])
     restless = unsteady(sessions, _without_memory(known.fit), known.fit)
     term = known.term_beside(known.fit, report)
-    if (restless and restless[1] > found[1]) or (term and term.log_evidence > found[1]):
+    others = restless[1] if restless else 0.0, term.log_evidence if term else 0.0
+    if known.evidence + max(others) > most:
         return sessions, known
     report('looking again without interruptions')
-    return found[0], _search(found[0], known.names, FEW, report, run)
+    return rest, _search(rest, names, FEW, report, run)
 
 
 def _without_memory(fit: ModelFit) -> ModelFit:

@@ -5,6 +5,7 @@ import pytest
 
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.discovery.check.input_checks import check_sessions
+from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.estimation.likelihood.interruptions import RARE, interrupted
 
@@ -72,3 +73,10 @@ def test_commands_that_are_missing_in_the_log_interrupt_all_particles():
 def test_what_happens_for_much_of_the_time_is_no_interruption():
     part = 1.5 * RARE
     assert searched(swum(3, lambda t, _: 0.0 if t % 10 < 10 * part else 1.0))[1] is None
+
+
+def test_a_gap_in_the_log_of_commands_is_a_remark_and_nothing_is_missing():
+    found = discover([swum(2, lost=(6,))])
+    assert found.verdict == 'consistent'
+    assert any('all particles from 15.' in remark and 'left out' in remark
+               for remark in found.remarks)

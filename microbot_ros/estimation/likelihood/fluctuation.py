@@ -71,6 +71,7 @@ ROUNDS = 30
 MOVES = 1e-12
 """Displacement [m] between frames that counts as none. Choice: far below localisation errors."""
 
+
 def fluctuating(fit: SessionFit, time: float) -> Whitening:
     """Return the noise of a fit with fluctuating velocities.
 
@@ -159,42 +160,54 @@ def fit_fluctuation(fit: SessionFit, model: Model) -> SessionFit:
     def noise_at(u: np.ndarray) -> Whitening:
         around, speed, time, wander, jitter, uneven, *swing = np.exp(u).tolist()
         return replace(
-            correlated(time), noise_ratio=around - h / 3,
-            diffusion_ratio=speed, wander=wander, jitter_ratio=jitter, uneven_ratio=uneven,
-            swing_ratio=swing[0] if rolls else 0.0)
+            correlated(time), noise_ratio=around - h / 3, diffusion_ratio=speed, wander=wander,
+            jitter_ratio=jitter, uneven_ratio=uneven, swing_ratio=swing[0] if rolls else 0.0)
 
     begun = [np.clip(np.log(np.maximum(of, 1e-300)), low, high)[:count] for of in starts]
-    return max((_climb(fit, noise_at, u, low[:count], high[:count]) for u in begun),
-               key=lambda one: one.restricted_log_likelihood)
+    tried = [SessionFit.of(session, noise_at(u), fit.expected) for u in begun]
+    best = max(range(len(tried)), key=lambda k: tried[k].restricted_log_likelihood)
+    return _climb(tried[best], noise_at, begun[best], low[:count], high[:count])
 
 
 def _climb(fit: SessionFit, noise_at: Callable[[np.ndarray], Whitening], u: np.ndarray,
            low: np.ndarray, high: np.ndarray) -> SessionFit:
-    """Maximise ℓ_R from coordinates `u` (P,) on, between the bounds `low` and `high` (P,)."""
-    session, expected = fit.session, fit.expected
-    fit, damping = SessionFit.of(session, noise_at(u), expected), 0.0
+    """Maximise ℓ_R from a `fit` at coordinates `u` (P,) on, within the bounds `low` and `high`."""
+    damping = 0.0
     for _ in range(ROUNDS):
-        step = np.where(u < high, DIFFERENCE, -DIFFERENCE)
-        slope, information = _parabola(fit, noise_at, u, step)
-        free = ~((u <= low) & (slope < 0)) & ~((u >= high) & (slope > 0))
-        own = information[np.ix_(free, free)]
+        slope, information = _parabola(
+            fit, noise_at, u, np.where(u < high, DIFFERENCE, -DIFFERENCE))
+        if not (np.isfinite(slope).all() and np.isfinite(information).all()):
+            return fit
+        least, most = np.maximum(low - u, -FARTHEST), np.minimum(high - u, FARTHEST)
         for _ in range(8):
-            step = np.zeros(len(u))
-            step[free] = np.linalg.lstsq(
-                own + damping * np.diag(np.diag(own)), slope[free], rcond=1e-10)[0]
-            there = np.clip(u + np.clip(step, -FARTHEST, FARTHEST), low, high)
-            foretold = float(2 * slope @ (there - u) - (there - u) @ information @ (there - u))
+            step = _vertex(
+                slope, information + damping * np.diag(np.diag(information)), least, most)
+            foretold = float(2 * slope @ step - step @ information @ step)
             if foretold < ENOUGH:
                 return fit
-            better = SessionFit.of(session, noise_at(there), expected)
+            better = SessionFit.of(fit.session, noise_at(u + step), fit.expected)
             gain = 2 * (better.restricted_log_likelihood - fit.restricted_log_likelihood)
             if gain > 0:
                 break
             damping = max(8 * damping, 0.1)
         else:
             return fit
-        fit, u, damping = better, there, damping / 8 if gain > foretold / 2 else damping
+        fit, u, damping = better, u + step, damping / 8 if gain > foretold / 2 else damping
     return fit
+
+
+def _vertex(slope: np.ndarray, information: np.ndarray, least: np.ndarray,
+            most: np.ndarray) -> np.ndarray:
+    """Return the step (P,) to the vertex of a parabola, or to its highest point within bounds."""
+    step, free = np.zeros(len(slope)), np.ones(len(slope), bool)
+    while free.any():
+        left = slope - information @ np.where(free, 0.0, step)
+        step[free] = np.linalg.lstsq(information[np.ix_(free, free)], left[free], rcond=1e-10)[0]
+        out = free & ((step < least) | (step > most))
+        if not out.any():
+            break
+        step, free = np.where(out, np.clip(step, least, most), step), free & ~out
+    return step
 
 
 def _parabola(fit: SessionFit, noise_at: Callable[[np.ndarray], Whitening], u: np.ndarray,
