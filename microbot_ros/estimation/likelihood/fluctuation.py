@@ -65,6 +65,12 @@ FARTHEST = 2.0
 Choice: beyond a factor of 7 a parabola says nothing; a smaller value costs steps.
 """
 
+FLAT = 1e-10
+"""Curvature, relative to the largest, of directions that count as flat.
+
+Choice: above rounding errors.
+"""
+
 ROUNDS = 30
 """Maximum number of steps. Choice: it bounds the time; usually 1 to 10 suffice."""
 
@@ -198,16 +204,14 @@ def _climb(fit: SessionFit, noise_at: Callable[[np.ndarray], Whitening], u: np.n
 
 def _vertex(slope: np.ndarray, information: np.ndarray, least: np.ndarray,
             most: np.ndarray) -> np.ndarray:
-    """Return the step (P,) to the vertex of a parabola, or to its highest point within bounds."""
-    step, free = np.zeros(len(slope)), np.ones(len(slope), bool)
-    while free.any():
-        left = slope - information @ np.where(free, 0.0, step)
-        step[free] = np.linalg.lstsq(information[np.ix_(free, free)], left[free], rcond=1e-10)[0]
-        out = free & ((step < least) | (step > most))
-        if not out.any():
-            break
-        step, free = np.where(out, np.clip(step, least, most), step), free & ~out
-    return step
+    """Return the step (P,) to the highest point of a parabola within bounds."""
+    from scipy.optimize import lsq_linear
+
+    power, axes = np.linalg.eigh(information)
+    size = np.sqrt(np.maximum(power, FLAT * power[-1]))
+    found: np.ndarray = lsq_linear(
+        (axes * size).T, axes.T @ slope / size, (least, most), method='bvls').x
+    return found
 
 
 def _parabola(fit: SessionFit, noise_at: Callable[[np.ndarray], Whitening], u: np.ndarray,
