@@ -214,8 +214,8 @@ def _interrupted(fit: ModelFit) -> list[str]:
                  f'from {one.begin:.1f} to {one.end:.1f} s' for one in session.interruptions]
         if parts:
             told.append(f'{session.name}: not moving as commanded, and left out: '
-                        f'{", ".join(parts)}. Did particles stick or touch something, or are '
-                        'commands missing in the log?')
+                        f'{", ".join(parts)} after the first frame. Did particles stick or touch '
+                        'something, or are commands missing in the log?')
     return told
 
 
