@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rig_file import write_rig
 from rosgraph_msgs.msg import Clock
+from schemas import schema_file
 from session.recordings import record, small_session
 
 from bench._emulator import Served
@@ -114,6 +116,38 @@ def test_topics_are_remapped(ros: Any) -> None:
         assert node.count_publishers('/seen') == 1
         assert node.count_publishers('/particles') == 0
         assert node.count_subscribers('/left/image_raw') == 1
+    finally:
+        node.make_safe_and_close()
+        node.destroy_node()
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_strings_have_a_schema_and_services_no_payload(start: Any, name: str) -> None:
+    """Of all that a node really publishes and offers: JSON only by a published schema, and only
+    services that switch or trigger."""
+    node = start(name).nodes[name]
+    topics = node.get_publisher_names_and_types_by_node(name, '/')
+    for topic in [topic for topic, kinds in topics if kinds == ['std_msgs/msg/String']]:
+        assert schema_file(topic.strip('/'))
+    own = {kind for _, kinds in node.get_service_names_and_types_by_node(name, '/')
+           for kind in kinds if not kind.startswith((
+               'rcl_interfaces/', 'lifecycle_msgs/', 'type_description_interfaces/'))}
+    assert own <= {'std_srvs/srv/SetBool', 'std_srvs/srv/Trigger'}
+
+
+def test_parameter_files_compose(ros: Any, tmp_path: Path) -> None:
+    """The later file wins, the command line over both, and a wildcard is of any namespace."""
+    ros({})
+    first = write_rig(tmp_path / 'first.yaml', {
+        '/**/tracker': {'pixel_size_um': 0.45, 'rotation_deg': 11.0, 'poses_rate_hz': 4.0}})
+    second = write_rig(tmp_path / 'second.yaml', {
+        '/rig_2/tracker': {'rotation_deg': 12.0, 'poses_rate_hz': 5.0},
+        '/rig_3/tracker': {'rotation_deg': 13.0}})
+    node = make('tracker', ['--ros-args', '-r', '__ns:=/rig_2', '--params-file', str(first),
+                            '--params-file', str(second), '-p', 'poses_rate_hz:=6.0'])
+    try:
+        now = node.settings
+        assert (now.pixel_size_um, now.rotation_deg, now.poses_rate_hz) == (0.45, 12.0, 6.0)
     finally:
         node.make_safe_and_close()
         node.destroy_node()
