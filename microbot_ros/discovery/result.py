@@ -282,7 +282,7 @@ class ResidualMap:
     """Whether the map shows only steps too large for any motion, which the fit excludes."""
     size: float = np.inf
     """How far the residual moves particles in HORIZON, in units of the noise floor of a
-    prediction; infinite where unknown."""
+    prediction; a rhythm in half a period if that is shorter. Infinite where unknown."""
 
     @property
     def log_p(self) -> float:

@@ -127,7 +127,8 @@ class Judgement:
         """Return the judgement for residuals that do not improve prediction on held-out rows.
 
         Named effects then need not explain the residuals, which move to `beside`. A rhythm stays
-        in `left`, since no learned term could show it.
+        in `left`: no learned term could show it, and it is there only if it moves particles
+        (`ResidualMap.decides`).
 
         Returns
         -------

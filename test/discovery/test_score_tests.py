@@ -10,8 +10,14 @@ from scipy import stats
 
 from microbot_ros.common.records import Commands
 from microbot_ros.discovery.check.input_checks import check_sessions
-from microbot_ros.discovery.check.score_tests import _holm, along_and_across, residual_maps
+from microbot_ros.discovery.check.score_tests import (
+    _holm,
+    along_and_across,
+    residual_maps,
+    squared_floor,
+)
 from microbot_ros.discovery.hypotheses import fit_first_order
+from microbot_ros.discovery.result import HORIZON
 from microbot_ros.estimation.likelihood.joint import Whitening, eliminate_shared
 from microbot_ros.virtual_rig.record_session import Camera
 
@@ -137,3 +143,19 @@ def test_the_size_of_what_is_left_does_not_grow_with_the_recording(film):
     assert long.decides
     assert replace(long, size=0.05).fires
     assert not replace(long, size=0.05).decides
+
+
+@pytest.mark.parametrize(('depth', 'frequency', 'decides'), [
+    (0.5, 0.7, True), (0.5, 2.0, True), (0.08, 2.0, False)])
+def test_a_rhythm_decides_if_it_moves_particles(film, depth, frequency, decides):
+    """Speeds swing by a `depth`, which displaces by v·depth/πf over half a period at most."""
+    session, bodies = film(20, {'pulsing_speed': {'depth': depth, 'frequency_hz': frequency}},
+                           duration=120.0)
+    fit = fit_first_order(check_sessions([session])[0])
+    shown = {m.against: m for m in residual_maps(fit)}['rhythm, along the heading']
+    assert shown.middles[shown.curves['power'][0].argmax()] == pytest.approx(frequency, abs=0.01)
+    moved = np.sqrt((bodies['speed'] ** 2).mean()) * depth / (np.pi * frequency) / 2
+    floor = np.sqrt(squared_floor(fit.session_fits[0], HORIZON))
+    assert shown.size == pytest.approx(moved / floor, rel=0.2)
+    assert shown.fires
+    assert shown.decides == decides

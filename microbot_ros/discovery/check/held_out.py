@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtrit
 
+from microbot_ros.discovery.check.score_tests import squared_floor
 from microbot_ros.discovery.hypotheses import add_effects, fit_first_order
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import HORIZON, UNKNOWN, WORTH, Estimate, Gap
@@ -295,10 +296,6 @@ def _known(learned: SessionFit, here: SessionFit, horizon: float) -> np.ndarray:
 
 
 def _floor(fit: ModelFit, horizon: float) -> float:
-    """Return √(2D·horizon + 2σ²), averaged over sessions, plus fluctuations of velocity."""
-    values = [
-        2 * p.diffusion * (max(round(horizon / p.session.interval), 1) * p.session.interval)
-        + 2 * max(p.whitening.noise_ratio, 0.0) * p.diffusion + p.unsteady_motion(horizon)
-        for p in fit.session_fits
-    ]
-    return float(np.sqrt(np.average(values, weights=[p.count for p in fit.session_fits])))
+    """Return the root mean square of `squared_floor` over the sessions."""
+    return float(np.sqrt(np.average([squared_floor(p, horizon) for p in fit.session_fits],
+                                    weights=[p.count for p in fit.session_fits])))

@@ -69,7 +69,8 @@ def residual_maps(fit: ModelFit, run: Run = serially) -> tuple[ResidualMap, ...]
         for group in context.groups():
             by_name.setdefault(group.against, []).append((k, group))
     raw = list(run(partial(_tested, fit, fit.jacobian), list(by_name.values())))
-    raw += [_rhythm(fit), _rhythm(fit, covariates), _single_steps(fit)]
+    raw += [_rhythm(fit, fit.jacobian), _rhythm(fit, fit.jacobian, covariates),
+            _single_steps(fit)]
     adjusted = _holm([m.p_value for m in raw])
     return tuple(
         replace(m, p_value=p) for m, p in zip(raw, adjusted, strict=True)
@@ -95,18 +96,45 @@ def _tested(fit: ModelFit, jacobian: Sequence[np.ndarray],
     group = groups[0][1]
     middles, curves = _curves(fit.session_fits[groups[0][0]], group)
     p_value = chi_square_tail(statistic, dof) if dof else 1.0
-    beyond_chance = max(1 - dof / max(statistic, 1e-300), 0.0)
-    size = float(np.sqrt(squares.mean() * beyond_chance)) if squares.size else np.inf
     return ResidualMap(group.against, group.label, statistic, dof, p_value, middles, curves,
-                       size=size)
+                       size=_size(statistic, dof, squares))
+
+
+def _size(statistic: float, dof: int, squares: np.ndarray) -> float:
+    """Return the size of what a map shows, less what χ² of `dof` would show by chance.
+
+    From the `squares` (R,) of `_score`; infinite without any.
+    """
+    beyond_chance = max(1 - dof / max(statistic, 1e-300), 0.0)
+    return float(np.sqrt(squares.mean() * beyond_chance)) if squares.size else np.inf
+
+
+def squared_floor(p: SessionFit, horizon: float) -> float:
+    """Return the mean square error of predictions by a complete model.
+
+    Parameters
+    ----------
+    p : SessionFit
+        Fit whose noise makes the floor.
+    horizon : float
+        Prediction horizon [s].
+
+    Returns
+    -------
+    float
+        2D·horizon + 2σ², plus fluctuations of velocity; of one axis [m²].
+    """
+    frames = max(round(horizon / p.session.interval), 1)
+    return (2 * p.diffusion * (frames * p.session.interval + max(p.whitening.noise_ratio, 0.0))
+            + p.unsteady_motion(horizon))
 
 
 def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray,
-           ) -> tuple[float, int, np.ndarray]:
+           lead: float = HORIZON) -> tuple[float, int, np.ndarray]:
     """Return T and its degrees of freedom for velocity fields (T − 1, N, M) and their normals.
 
-    Also the squared displacements (R,) over HORIZON by the best of these fields, beyond what v and
-    φ absorb, in units of the noise floor of such a prediction.
+    Also the squared displacements (R,) over the time `lead` [s] by the best of these fields,
+    beyond what v and φ absorb, in units of the noise floor of a prediction over HORIZON.
     """
     columns = np.zeros((len(p.session.times), *fields.shape[1:]), complex)
     moved = np.nan_to_num(fields) * np.diff(p.session.times)[:, None, None]
@@ -126,11 +154,10 @@ def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray,
     absorbed = solve(gram[:, 1:3, 1:3], gram[:, 1:3, 3 + count:] @ best[:, None])[..., 0]
     left = columns @ (best[:len(best) // 2] + 1j * best[len(best) // 2:]) - (
         p.expected.along * absorbed[:, 0] + p.expected.across * absorbed[:, 1])
-    ahead = min(max(round(HORIZON / p.session.interval), 1), len(left) - 1)
+    ahead = min(max(round(lead / p.session.interval), 1), len(left) - 1)
     moved = (left[ahead:] - left[:-ahead])[p.session.joined(ahead)]
-    floor = 2 * p.diffusion * (HORIZON + max(p.whitening.noise_ratio, 0.0))
     return (float((found**2 / values[kept]).sum()), int(kept.sum()),
-            np.abs(moved) ** 2 / 2 / floor)
+            np.abs(moved) ** 2 / 2 / squared_floor(p, HORIZON))
 
 
 def along_and_across(known: np.ndarray, white: np.ndarray) -> np.ndarray:
@@ -157,12 +184,14 @@ def along_and_across(known: np.ndarray, white: np.ndarray) -> np.ndarray:
     return np.block([[same, turned], [np.swapaxes(turned, 1, 2), same[:, first:, first:]]])
 
 
-def _rhythm(fit: ModelFit, covariates: list[Covariates] | None = None) -> ResidualMap:
+def _rhythm(fit: ModelFit, jacobian: Sequence[np.ndarray],
+            covariates: list[Covariates] | None = None) -> ResidualMap:
     """Return the largest peak of a periodogram: in the laboratory, or in the particles' frame.
 
     For the longest session. In the laboratory both axes count together (χ² of 4). Along and across
     the heading they count apart, since speed and angle may oscillate (χ² of 2 each). A peak is
-    measured against the noise around it: a wandering speed is broad, and no rhythm.
+    measured against the noise around it: a wandering speed is broad, and no rhythm. Its size is
+    the displacement over half a period, or over HORIZON if that is shorter.
     """
     k = int(np.argmax([np.ptp(p.session.times) for p in fit.session_fits]))
     p = fit.session_fits[k]
@@ -171,6 +200,7 @@ def _rhythm(fit: ModelFit, covariates: list[Covariates] | None = None) -> Residu
         frequency, *turned = rotating_components(p.session.times, p.residual.sum(axis=1), fastest)
         power = (np.abs(np.array(turned)) ** 2).sum(axis=0) / p.count
         name, dof, signals = 'rhythm', 4, 1
+        direction = np.ones_like(p.residual)
     else:
         direction = np.zeros_like(p.residual)
         direction[1:] = covariates[k].body * np.abs(p.velocity_phasor)
@@ -182,10 +212,13 @@ def _rhythm(fit: ModelFit, covariates: list[Covariates] | None = None) -> Residu
         power = np.max([2 * np.abs(ahead) ** 2 / weight for _, ahead, _ in axes], axis=0)
         name, dof, signals = 'rhythm, along the heading', 2, 2
     power = power / _background(power, dof, signals)
-    best = float(power.max())
+    best, peak = float(power.max()), float(frequency[power.argmax()])
     p_value = peak_tail_probability(best, dof, signals * fastest * float(np.ptp(p.session.times)))
+    wave = np.exp(2j * np.pi * peak * p.session.times[1:, None])
+    fields = np.stack([direction[1:] * wave.real, direction[1:] * wave.imag], axis=-1)
+    squares = _score(p, jacobian[k], fields, min(HORIZON, 0.5 / peak))[2]
     return ResidualMap(name, 'frequency [Hz]', best, dof, p_value, frequency, {
-        'power': (power, np.zeros(len(frequency)))})
+        'power': (power, np.zeros(len(frequency)))}, size=_size(best, dof, squares))
 
 
 def _background(power: np.ndarray, dof: int, signals: int) -> np.ndarray:
