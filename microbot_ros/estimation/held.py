@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -116,6 +117,7 @@ class HeldWatch:
         self._carried: dict[int, complex] = {}
         self._sampled = -np.inf
         self._turn = 0
+        self._to_look_at: set[int] = set()
 
     def add(self, t: float, ids: np.ndarray, z: np.ndarray, seen: np.ndarray,
             moved: dict[int, tuple[complex, complex]]) -> list[int]:
@@ -142,12 +144,14 @@ class HeldWatch:
         """
         names = ids.tolist()
         nothing = 0j, 0j
+        self._to_look_at |= set(names) - self._ways.keys()
         self._ways = {name: self._ways.get(name, 0j) + moved.get(name, nothing)[0]
                       for name in names}
         self._carried = {name: self._carried.get(name, 0j) + moved.get(name, nothing)[1]
                          for name in names}
         if t - self._sampled >= SAMPLE:
             self._sampled = t
+            self._to_look_at = set(names)
             self._tracks = {name: self._tracks.get(name, deque(maxlen=round(SECONDS / SAMPLE)))
                             for name in names}
             for name, place, there in zip(names, z.tolist(), seen.tolist(), strict=True):
@@ -157,7 +161,9 @@ class HeldWatch:
         self.held = set(before)
         if names:  # one per frame, since each takes half a millisecond
             self._turn = (self._turn + 1) % len(names)
-            self._look(names[self._turn])
+            if (name := names[self._turn]) in self._to_look_at:
+                self._to_look_at.discard(name)
+                self._look(name)
         return sorted(before - self.held)
 
     def _look(self, name: int) -> None:
@@ -171,9 +177,10 @@ class HeldWatch:
 
 def _legs(direction: np.ndarray) -> np.ndarray:
     """Return the number (T,) of the command of each step, by its `direction` (T,) [rad]."""
-    legs, first = np.zeros(len(direction), int), direction[0] if len(direction) else 0.0
-    for k in range(1, len(direction)):
-        another = abs(np.angle(np.exp(1j * (direction[k] - first)))) > ANOTHER
-        first = direction[k] if another else first
-        legs[k] = legs[k - 1] + another
-    return legs
+    legs, number = [], 0
+    first = float(direction[0]) if len(direction) else 0.0
+    for way in direction.tolist():
+        if abs(math.remainder(way - first, math.tau)) > ANOTHER:
+            first, number = way, number + 1
+        legs.append(number)
+    return np.array(legs, int)

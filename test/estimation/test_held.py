@@ -1,8 +1,12 @@
 """A particle that a wall holds has no speed and says why; one that swims freely is never held."""
 
+from unittest import mock
+
 import numpy as np
 import pytest
 
+from microbot_ros.estimation import held as held_module
+from microbot_ros.estimation.held import SAMPLE, HeldWatch
 from microbot_ros.estimation.online.estimator import Estimator
 
 RATE, FIELD = 30.0, 5e-3
@@ -78,3 +82,12 @@ def test_who_swims_freely_is_never_held(direction, flow, seed):
     told = swim(40.0, direction, flow=flow, seed=seed)
     assert held(told) == []
     assert np.isfinite(told[-1][1])
+
+
+def test_a_particle_is_looked_at_once_for_every_sample():
+    """A look takes as long as a filter step, and finds nothing new before the next sample."""
+    watch, ids = HeldWatch(), np.array([3, 7])
+    with mock.patch.object(held_module, 'is_held', return_value=False) as look:
+        for frame in range(100):
+            watch.add(frame / 100, ids, np.zeros(2, complex), np.ones(2, bool), {})
+    assert look.call_count == len(ids) * round(1.0 / SAMPLE)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from coil_rigs import EIGHT, SIX, scattered
@@ -13,6 +15,12 @@ from microbot_ros.common.errors import InputError
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 
 seeds = st.integers(0, 2**32 - 1)
+
+
+@cache
+def some_coils(rig: int) -> CoilSet:
+    """One of five rigs with eight to fourteen coils."""
+    return CoilSet(EIGHT) if rig == 0 else scattered(rig, 6 + 2 * rig)
 
 
 def drawn(seed: int, axes: int = 3) -> tuple[np.ndarray, np.ndarray]:
@@ -31,7 +39,7 @@ def rows(coils: CoilSet, field: np.ndarray) -> np.ndarray:
 @settings(max_examples=40)
 @given(seeds, st.integers(0, 4))
 def test_both_are_made_as_cheaply_as_can_be(seed, rig):
-    coils = CoilSet(EIGHT) if rig == 0 else scattered(rig, 6 + 2 * rig)
+    coils = some_coils(rig)
     field, pull = drawn(seed)
     found = Allocator(coils).actuate(field, pull)
     assume(not found.saturated)
