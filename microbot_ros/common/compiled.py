@@ -102,15 +102,16 @@ def load() -> None:
             _loaded = True
         made, _new[:] = _new[:], []
         module = compiled_cache.numba
-        for one in made:
-            one.dispatcher = module.njit(**one.options)(one.function)
-        for names in {id(one.function.__globals__): one.function.__globals__
-                      for one in made}.values():
-            for name, value in list(names.items()):
-                if value is numba:
-                    names[name] = module
-                elif isinstance(value, _Compiled):
-                    names[name] = value.dispatcher
+        with compiled_cache.global_compiler_lock:  # no thread compiles before all are replaced
+            for one in made:
+                one.dispatcher = module.njit(**one.options)(one.function)
+            for names in {id(one.function.__globals__): one.function.__globals__
+                          for one in made}.values():
+                for name, value in list(names.items()):
+                    if value is numba:
+                        names[name] = module
+                    elif isinstance(value, _Compiled):
+                        names[name] = value.dispatcher
         for one in made:
             for signature in one.declared:
                 one.dispatcher.compile(signature)

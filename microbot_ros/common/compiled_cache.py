@@ -27,8 +27,9 @@ from typing import Any
 
 import numba
 from numba.core import caching, config, event
+from numba.core.compiler_lock import global_compiler_lock
 
-__all__ = ['digest', 'install', 'numba']
+__all__ = ['digest', 'global_compiler_lock', 'install', 'numba']
 
 
 class _OneAtATime(caching.IndexDataCacheFile):
