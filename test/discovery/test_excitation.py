@@ -47,7 +47,8 @@ def test_pixels_are_no_candidate_where_coils_bend_paths_alike(film):
     ('coil_gain_mismatch', {'gain_ratio': 2.5}, False),
     ('coil_misalignment', {'skew': -1.0}, False), ('coil_misalignment', {'skew': 0.2}, True),
     ('speed_decay', {'tau': np.inf}, True), ('speed_decay', {'tau': 1.0}, False),
-    ('command_delay', {'delay': 0.0}, True), ('periodic_drift', {'amplitude': -1e-4, 'frequency': 1.0}, False),
+    ('command_delay', {'delay': 0.0}, True),
+    ('periodic_drift', {'amplitude': -1e-4, 'frequency': 1.0}, False),
     ('drive_response', {'cut_in': 0.0, 'slip': 1.0, 'step_out': 10.0}, True)])
 def test_a_strength_at_a_bound_is_not_seen(name, parameters, seen):
     """No camera and no coil goes beyond; a slip of all the gain is a limit of the curve."""
