@@ -125,6 +125,7 @@ class Gate:
         self.holding = False
         """Whether it is armed and passes nothing but zero (`hold`)."""
         self._now_s = self._commanded_s = self._heard_s = self._measured_s = -math.inf
+        self._read_s = self._silent_s = self._resumed_s = -math.inf
         self._armed_s = self._attended_s = -math.inf
         self._measured: Currents = self.zero
         self._allowance: Currents = (limits.step_A,) * channels  # remaining change of each
@@ -324,8 +325,11 @@ class Gate:
         measured: the present one and those replaced after `since_s`, less the settling time.
         Currents that agree with none of these, but all together with the outputs of one moment up
         to `feedback_timeout_s` before, are late: they are neither a fault of the coils nor a
-        measurement of the present. The same holds for currents between these outputs and zero
-        until the coils have had time to settle after a `lapse`. All other currents trip. Once the
+        measurement of the present. The same holds for the outputs since the last reading before a
+        silence of more than `feedback_timeout_s`, until a disarmed device has had time to settle
+        after it: a device that stood still has yet to read the zero that waits for it. It also
+        holds for currents between these outputs and zero until the coils have had time to settle
+        after a `lapse`. All other currents trip. Once the
         coils have had time to settle at zero, they replace a latched fault: a current without a
         command outranks the reason why nothing is commanded.
 
@@ -352,8 +356,14 @@ class Gate:
                                                f'{currents_A!r}')
         self._measured = measured
         since_s = now_s if since_s is None else min(since_s, now_s)
-        settled_s = since_s - self.limits.settling_s
+        settling_s = self.limits.settling_s
+        settled_s = since_s - settling_s
         oldest_s = settled_s - self.limits.feedback_timeout_s
+        if not self.armed and now_s - self._read_s > self.limits.feedback_timeout_s:
+            self._silent_s, self._resumed_s = self._read_s, now_s
+        if now_s - self._resumed_s <= settling_s:
+            oldest_s = min(oldest_s, self._silent_s - settling_s)
+        self._read_s = now_s
         while self._replaced and not self._replaced[0][0] > oldest_s:
             self._replaced.popleft()
         recent = [self.output, *self._outputs(settled_s, now_s)]

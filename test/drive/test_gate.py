@@ -377,6 +377,7 @@ def test_after_disarming_the_current_may_still_fall():
     gate.revoke()
     gate.measured((1.0,) * 4, 0.06)
     assert gate.fault is None
+    gate.measured((1.0,) * 4, 0.2)
     gate.measured((1.0,) * 4, math.nextafter(0.3125, 0))  # late, as the line may be
     assert gate.fault is None
     assert 'no measured currents' in gate.arm(math.nextafter(0.3125, 0))
@@ -390,6 +391,7 @@ def test_current_that_nobody_commands_outranks_the_fault_that_stands(first):
     gate.trip(first, 'first')
     gate.measured((1.0, 1.0, 1.0, -1.0), 0.03)  # as of a coil that is reversed, while it settles
     assert tripped(gate, first)
+    gate.measured(ZERO, 0.25)
     gate.measured(only(1, 0.7), 0.5)
     assert tripped(gate, Reason.UNCOMMANDED)
     assert gate.fault.detail == '(0, 0.7, 0, 0) A measured while zero is commanded'
@@ -565,6 +567,25 @@ def test_one_present_reading_makes_up_for_late_ones():
     assert gate.tick(0.375) != ZERO
     assert gate.tick(math.nextafter(0.375, 1)) == ZERO
     assert tripped(gate, Reason.SILENCE)
+
+
+@pytest.mark.parametrize(('current', 'moment', 'reason'), [
+    (1.0, 1.0, Reason.SILENCE), (1.0, 1.0625, Reason.SILENCE),
+    (1.0, math.nextafter(1.0625, 2), Reason.UNCOMMANDED), (1.5, 1.0, Reason.UNCOMMANDED),
+    (-1.0, 1.0, Reason.UNCOMMANDED)])
+def test_a_device_that_stood_still_first_does_as_it_did(current, moment, reason):
+    """Silent from 0.03 s to 1 s, so disarmed: it has yet to read the zero that waits for it."""
+    gate = driving((1.0,) * 4)
+    gate.measured((1.0,) * 4, 0.03)
+    gate.command((0.9,) * 4, 0.04)
+    gate.tick(0.3)
+    gate.sent(0.3)
+    assert tripped(gate, Reason.SILENCE)
+    gate.measured((0.95,) * 4, 1.0)  # on its way from one to the other
+    gate.measured((current,) * 4, moment)
+    assert tripped(gate, reason)
+    gate.measured(ZERO, 1.07)
+    assert gate.arm(1.07) is None
 
 
 @pytest.mark.parametrize('coil', COILS)

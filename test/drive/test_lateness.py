@@ -163,6 +163,7 @@ def test_an_output_that_was_written_late_was_followed_until_then():
     gate.sent(0.4)  # the thread slept between
     gate.measured(CURRENTS[0], 0.41)
     assert gate.fault is None
+    gate.measured(CURRENTS[0], 0.6)
     gate.measured(CURRENTS[0], 0.71)
     assert gate.fault.reason is Reason.UNCOMMANDED
 

@@ -14,18 +14,20 @@ DIFFUSION, READ = 0.2e-12, 5e-8
 SPEED, PHI = 4.1e-6, 0.4
 
 
-def swim(seconds, direction, *, wall=None, start=(0.0, 0.0), flow=(0.0, 0.0), seed=0):
+def swim(seconds, direction, *, wall=None, start=(0.0, 0.0), flow=(0.0, 0.0), driven=np.inf,
+         seed=0):
     """Answers (t, speed [m/s], sentences) of the estimator for one particle, frame by frame.
 
-    The command points to `direction(t)` [rad]; nothing passes x = `wall` [m].
+    The command points to `direction(t)` [rad], until `driven` [s]: from then on there is none, and
+    the heading stays. Nothing passes x = `wall` [m].
     """
     random = np.random.default_rng(seed)
     estimator, told = Estimator(), []
     place = np.array(start, float)
     for frame in range(int(seconds * RATE)):
         t = frame / RATE
-        angle = direction(t)
-        estimator.command(t, FIELD * np.array([np.cos(angle), np.sin(angle)]))
+        angle = direction(min(t, driven))
+        estimator.command(t, (t < driven) * FIELD * np.array([np.cos(angle), np.sin(angle)]))
         found = estimator.update(
             t, np.array([7]), (place + random.normal(0, READ, 2))[None], np.full(1, READ))
         told.append((t, float(found.speed[0]), found.diagnosis))
@@ -82,6 +84,15 @@ def test_who_swims_freely_is_never_held(direction, flow, seed):
     told = swim(40.0, direction, flow=flow, seed=seed)
     assert held(told) == []
     assert np.isfinite(told[-1][1])
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+def test_what_drifts_to_the_edge_without_a_field_keeps_its_speed(seed):
+    """As after STOP: the field goes, the particle swims on, the edge of the picture stops it."""
+    told = swim(40.0, every_way, wall=15e-6, start=(-5e-6, 0.0), driven=10.0, seed=seed)
+    before, after = (speed for t, speed, _ in told if t in (10.0, told[-1][0]))
+    assert after == pytest.approx(before, rel=0.02)
+    assert before == pytest.approx(SPEED, rel=0.1)
 
 
 def test_a_particle_is_looked_at_once_for_every_sample():

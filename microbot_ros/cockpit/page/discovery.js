@@ -43,12 +43,9 @@ function show(now) {
 function where({ running, left_s, of_s, folder, report }) {
   byId('discover-progress').hidden = !running;
   byId('discover-progress').value = running ? 1 - left_s / of_s : 0;
-  const node = byId('discover-where');
-  const text = [running && `At most ${clock(left_s)} left. Results in`, !running && folder && 'Results in'].filter(Boolean).join(' ');
-  if (node.dataset.shown === text + report) return;
-  node.dataset.shown = text + report;
-  node.replaceChildren(text && `${text} ${folder}. `, ...(report
-    ? [make('a', { href: report, target: '_blank', rel: 'noopener' }, 'Open the report')] : []));
+  const text = `${running ? `At most ${clock(left_s)} left. ` : ''}${folder ? `Results in ${folder}. ` : ''}`;
+  keyed(byId('discover-where'), [text + report], String, () => make('span', {}, text, ...(report
+    ? [make('a', { href: report, target: '_blank', rel: 'noopener' }, 'Open the report')] : [])));
 }
 
 function headline({ verdict, sentence, running }) {

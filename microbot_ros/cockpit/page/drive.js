@@ -23,11 +23,11 @@ export class Drive {
     const { name, available, parameters, takes } = controller;
     const summaries = new Map((available ?? []).map((one) => [one.name, one.summary]));
     offer(byId('controller'), [...summaries.keys()], (one) => `${summaries.get(one).replace(/\.$/, '')}: ${one.replaceAll('_', ' ')}`);
-    setText(byId('controller-about'), byId('controller').value === name ? '' : summaries.get(byId('controller').value) ?? '');
     if (name !== this.name) {
       this.name = name;
       byId('controller').value = name;
     }
+    setText(byId('controller-about'), byId('controller').value === name ? '' : summaries.get(byId('controller').value) ?? '');
     setText(byId('controller-now'),
       name ? `At work: ${name.replaceAll('_', ' ')}. ${summaries.get(name) ?? ''}` : 'No controller has reported yet.');
     setText(byId('stick-hint'), takes?.includes('joystick')

@@ -1,7 +1,7 @@
 // What happened since the cockpit's node began: when, from which page or node, in whole sentences.
 
 import { byId, keyed, make } from './dom.js';
-import { MARKS } from './messages.js';
+import { MARKS, remedy } from './messages.js';
 
 export function eventsPanel(link) {
   let kept = [];
@@ -35,13 +35,6 @@ function row(one) {
 }
 
 const quoted = (text) => `"${String(text ?? '').replaceAll('"', '""')}"`;
-const plain = (text) => text.replaceAll('`', '');
-
-// Cause and cure, a line each, where they are known.
-export function remedy({ cause, cure } = {}) {
-  return [cause && make('span', { class: 'remedy' }, `Cause: ${plain(cause)}`),
-    cure && make('span', { class: 'remedy cure' }, `What to do: ${plain(cure)}`)].filter(Boolean);
-}
 
 // Above the parts, whichever is in view, while a fault stands.
 export function whyPanel(link) {

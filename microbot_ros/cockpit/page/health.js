@@ -1,7 +1,7 @@
 // What the nodes say of themselves, in their sentences; what is not well comes first.
 
 import { byId, keyed, make, setText } from './dom.js';
-import { remedy } from './events.js';
+import { remedy } from './messages.js';
 
 const LEVELS = { error: '✕ error', stale: '… silent', warn: '! warning', ok: '✓ well' };
 
@@ -13,11 +13,8 @@ export function healthPanel(link) {
     const wrong = rows.filter(({ level }) => level !== 'ok').length;
     byId('tab-health').dataset.wrong = wrong || '';
     setText(byId('fact-health'), health ? wrong ? `! ${wrong} of ${rows.length}` : 'all well' : '–');
-    keyed(byId('health-list'), rows, (one) => JSON.stringify(one), row);
+    keyed(byId('health-list'), rows, (one) => JSON.stringify(one), ({ name, level, sentence, ...help }) => make('li',
+      { 'data-level': level }, make('span', { class: 'level' }, LEVELS[level] ?? level),
+      make('strong', {}, name), make('span', {}, sentence ?? ''), ...remedy(help)));
   });
-}
-
-function row({ name, level, sentence, ...help }) {
-  return make('li', { 'data-level': level }, make('span', { class: 'level' }, LEVELS[level] ?? level),
-    make('strong', {}, name), make('span', {}, sentence ?? ''), ...remedy(help));
 }

@@ -34,7 +34,10 @@ const link = new Link(`${scheme}://${location.host}/socket`);
 const view = new View(byId('frame'));
 const tracks = new Tracks();
 const overlay = new Overlay(view, tracks);
-const picture = new Picture(link, tracks, (stamp) => overlay.show(stamp));
+const picture = new Picture(link, tracks, (stamp) => {
+  if (view.cover()) tracks.clear();
+  overlay.show(stamp);
+});
 
 new Drive(link);
 fieldPanel(link);
@@ -66,6 +69,7 @@ link.on('particles', (message) => {
   overlay.show(view.camera ? picture.stamp : message.stamp);
 });
 link.on('state', (state) => overlay.hear(state));
+byId('answer-close').onclick = () => { byId('answer').hidden = true; };
 link.on('lost', () => say('refused', 'The connection to the cockpit’s node is lost.', 'link'));
 link.on('refused', (reason) => say('refused', reason));
 link.on('up', () => say('note', 'Connected to the cockpit’s node.', 'link'));

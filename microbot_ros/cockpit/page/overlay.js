@@ -9,6 +9,7 @@ const ARROW = 26;
 // Height of a name beside a ring, and width of a letter.
 const LABEL = 36;
 const LETTER = 9;
+const NOTHING = { goals: [], path: [], driven: [], goal: null, learned: [] };
 
 export class Overlay {
   constructor(view, tracks) {
@@ -16,7 +17,7 @@ export class Overlay {
     this.tracks = tracks;
     this.stamp = null;
     this.chosen = null;
-    this.plan = { goals: [], path: [], driven: [], goal: null, learned: [] };
+    this.plan = NOTHING;
     this.layers = {};
     for (const name of ['learned', 'trails', 'path', 'way', 'goals', 'rings', 'sketch']) {
       this.layers[name] = makeSvg('g', { class: name });
@@ -99,8 +100,7 @@ export class Overlay {
   }
 
   #drawPlan() {
-    if (!this.view.matrix) return;
-    const { goals, path, learned } = this.plan;
+    const { goals, path, learned } = this.view.matrix ? this.plan : NOTHING;
     this.layers.path.replaceChildren(makeSvg('polyline', {
       points: path.map(([x, y]) => this.view.micrometresToPage(x, y).join(' ')).join(' ') }));
     keyed(this.layers.goals, goals.map((goal, index) => ({ index, ...goal })),

@@ -172,8 +172,8 @@ export class Pointing {
   #setPoints(points) {
     this.points = points;
     setText(byId('path-count'), String(points.length));
-    byId('path-send').hidden = points.length < 2;
-    byId('path-discard').hidden = !points.length;
+    byId('path-send').hidden = points.length < 2 || Boolean(this.stroke); // buttons that come move the picture under the pointer
+    byId('path-discard').hidden = !points.length || Boolean(this.stroke);
     this.overlay.sketch(points, this.cross);
   }
 

@@ -27,10 +27,18 @@ export class View {
     return other;
   }
 
-  // Without a camera: an empty ground, doubled until it holds all `particles`; their places on it.
+  // A picture has come: nothing has a place on it before its camera is known. Says as `use` does.
+  cover() {
+    const other = !this.camera && !this.covered;
+    if (other) this.matrix = null;
+    this.covered = true;
+    return other;
+  }
+
+  // Without camera and picture: an empty ground, doubled until it holds all `particles`; their places on it.
   place(particles) {
     // Those that came before the node knew the camera lie nowhere in its picture.
-    if (this.camera) return particles.filter(({ x_px }) => x_px !== null);
+    if (this.camera || this.covered) return particles.filter(({ x_px }) => this.camera && x_px !== null);
     const half = Math.max(this.matrix ? -this.matrix[0][2] : 50,
       ...particles.map(({ x_um, y_um }) => Math.max(Math.abs(x_um), Math.abs(y_um) * 4 / 3)));
     const pixel_size_um = 50 * 2 ** Math.ceil(Math.log2(half / 50) - 1e-9) / ((this.width - 1) / 2);

@@ -102,6 +102,26 @@ class CommandLog:
         rows = self._in_force(t - delay)
         return Commands(rows[:, 0] + delay, rows[:, 1:3], rows[:, 3])
 
+    def rests(self, start: float, end: float) -> bool:
+        """Return whether no field is commanded in an interval, after one was.
+
+        Headings then drift freely: the room's field, a wall or a neighbour turns them.
+
+        Parameters
+        ----------
+        start, end : float
+            Interval [s].
+
+        Returns
+        -------
+        bool
+            False before the first field.
+        """
+        rows = self.rows
+        first = max(int(np.searchsorted(rows[:, 0], start, side='right')) - 1, 0)
+        last = max(int(np.searchsorted(rows[:, 0], end)), first + 1)
+        return bool(rows[:first, 1:3].any()) and not rows[first:last, 1:3].any()
+
     def forget_before(self, t: float) -> None:
         """Drop commands that `since` would not return, once these are many.
 

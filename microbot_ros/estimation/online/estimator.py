@@ -295,7 +295,12 @@ class Estimator:
                 self._log, shared.delay.value, start, frame.t
             )
             bank.predict_deviation(*bent, 2 * self._rotational_diffusion * step.span)
-        bank.predict(step.path, step.drift, 2 * noise.diffusion * step.span, wander)
+        delay, path, diffused = shared.delay.value, step.path, 2 * noise.diffusion * step.span
+        if self._log.rests(start - delay, frame.t - delay):
+            # The way is unknown, at most as long as that of the fastest: it says nothing about c.
+            farthest = float(np.abs(bank.velocity_phasor[0]).max(initial=0.0)) * step.span
+            path, diffused = 0 * path, diffused + farthest ** 2
+        bank.predict(path, step.drift, diffused, wander)
         self._t = frame.t
         readings = self._population.take(
             frame.t, frame.ids, frame.z, _reading_variance(

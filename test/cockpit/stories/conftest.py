@@ -14,6 +14,7 @@ from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.recordings import Recordings
 
 sys.path.insert(0, str(Path(__file__).parent))
+from hands import sizes
 
 CHROMIUM = shutil.which('chromium') or shutil.which('chromium-browser')
 FLAGS = ['--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
@@ -51,14 +52,21 @@ def server(rig: Any, tmp_path: Path) -> Iterator[Any]:
     server.stop()
 
 
+@pytest.fixture(params=sizes())
+def size(request: pytest.FixtureRequest) -> Any:
+    """Width and height of the window."""
+    return request.param
+
+
 @pytest.fixture
-def open_page(browser: Any, server: Any) -> Iterator[Any]:
+def open_page(browser: Any, server: Any, size: tuple[int, int]) -> Iterator[Any]:
     """Opens a page of the cockpit in a window of its own; keywords are those of a browser's
     context. A page that complains on its console fails the test."""
+    width, height = size
     contexts, complaints = [], []
 
     def open_one(**kind: Any) -> Any:
-        context = browser.new_context(**{'viewport': {'width': 1440, 'height': 900}, **kind})
+        context = browser.new_context(**{'viewport': {'width': width, 'height': height}, **kind})
         contexts.append(context)
         page = context.new_page()
         page.on('pageerror', lambda error: complaints.append(str(error)))

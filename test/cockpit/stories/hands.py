@@ -5,8 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import pytest
+
 PIXEL_UM, WIDTH, HEIGHT = 0.45, 640, 480
 """Of the virtual microscope."""
+SIZES = [(1440, 900), (360, 640), (844, 390), (390, 844), (768, 1024), (1024, 768), (2560, 1440)]
+"""Windows in which the stories are played: the first three, side by side, upright and sideways,
+always; the others in `make soak`."""
+ALWAYS = 3
+
+
+def sizes(always: int = ALWAYS) -> list[Any]:
+    """All sizes as parameters; those after the first `always` only in `make soak`."""
+    return [pytest.param(one, id=f'{one[0]}x{one[1]}',
+                         marks=[pytest.mark.soak] if number >= always else [])
+            for number, one in enumerate(SIZES)]
 
 
 def take_control(page: Any) -> Any:

@@ -57,8 +57,9 @@ def state() -> dict[str, Any]:
 class StandIn:
     """The rig. `heard` is what it was asked, each with the monotonic time [s]; `refusals` are its
     reasons by verb; `told` is its state, to be changed by a test; `shown` the particles' pixels by
-    the stamp of each picture; `pictures`, `tracker` and `seen_by`, the camera, say what
-    it has; `slow` [s] is how long its particles come after their pictures."""
+    the stamp of each picture; `pictures`, `tracker` and `seen_by`, the camera, say what it has,
+    and `camera_known` whether it says so; `slow` [s] is how long its particles come after their
+    pictures."""
 
     def __init__(self) -> None:
         self.heard: list[tuple[float, str, Any]] = []
@@ -69,7 +70,7 @@ class StandIn:
         self.kinds = ['janus', 'debris']
         self.seen_by: dict[str, Any] | None = {
             'width_px': WIDTH, 'height_px': HEIGHT, 'pixel_size_um': PIXEL_UM}
-        self.pictures = self.tracker = True
+        self.pictures = self.tracker = self.camera_known = True
         self._quit = threading.Event()
         self._heard_one = threading.Condition()
 
@@ -116,7 +117,7 @@ class StandIn:
         pass
 
     def camera(self) -> dict[str, Any] | None:
-        return self.seen_by
+        return self.seen_by if self.camera_known else None
 
     def state(self) -> dict[str, Any]:
         takes = ['joystick'] if self.told['controller']['name'] == 'teleop' else ['goals', 'path']
@@ -188,9 +189,10 @@ class StandIn:
                 picture(stamp, _jpeg(places))
             if self._quit.wait(self.slow) or not self.tracker:
                 continue
+            known = self.camera()
             particles({'kind': 'particles', 'stamp': str(stamp), 'particles': [
-                {'id': n, 'kind': 'janus', 'x_px': x if self.seen_by else None,
-                 'y_px': y if self.seen_by else None,
+                {'id': n, 'kind': 'janus', 'x_px': x if known else None,
+                 'y_px': y if known else None,
                  'x_um': (x - (WIDTH - 1) / 2) * PIXEL_UM,
                  'y_um': ((HEIGHT - 1) / 2 - y) * PIXEL_UM, 'heading_rad': 0.5 * n,
                  'sigma_px': 0.1} for n, (x, y) in places.items()]})

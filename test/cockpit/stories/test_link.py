@@ -8,7 +8,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from hands import part
+from hands import on_page, part
 
 from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.recordings import Recordings
@@ -55,7 +55,7 @@ def test_a_lost_node_greys_the_page_and_nothing_is_sent_later(page, rig, server,
     assert page.inner_text('#rig-chip') == '? unknown'
 
     page.click('#modes label:has(input[value=goal])')
-    page.click('#frame', position={'x': 300, 'y': 300})
+    page.mouse.click(*on_page(page, 300, 300, 1280))
     page.keyboard.press('Escape')
     page.wait_for_selector('#messages li:has-text("STOP could not be sent")')
 
@@ -112,6 +112,23 @@ def test_a_refused_swap_leaves_the_old_one(page, rig) -> None:
     del rig.refusals['switch_controller']
     page.click('#controller-form button')
     page.wait_for_selector('#controller-now:has-text("At work: hold.")')
+
+
+_SAID = """addEventListener('DOMContentLoaded', () => {
+  window.said = [];
+  const about = document.querySelector('#controller-about');
+  new MutationObserver(() => window.said.push(about.textContent)).observe(
+    about, { childList: true });
+});"""
+
+
+def test_the_list_says_what_the_controller_chosen_there_is_for(page) -> None:
+    page.add_init_script(_SAID)
+    page.reload()
+    page.wait_for_selector('#controller-now:has-text("At work")')
+    page.select_option('#controller', 'hold')
+    page.wait_for_selector('#controller-about:has-text("Stays where it is.")')
+    assert page.evaluate('window.said') == ['Stays where it is.']
 
 
 def test_parameters_are_as_their_descriptors_say(page, rig) -> None:

@@ -23,6 +23,7 @@ from hands import (
     mode,
     on_page,
     part,
+    sizes,
     switch,
     take_control,
 )
@@ -44,10 +45,18 @@ _RINGS = """() => {
 }"""
 
 
+@pytest.fixture(scope='module', params=sizes(always=1))
+def size(request: pytest.FixtureRequest) -> Any:
+    """Width and height of the window."""
+    return request.param
+
+
 @pytest.fixture(scope='module')
-def virtual(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[VirtualRig]:
-    """One rig for all stories; none without a `browser`."""
+def virtual(browser: Any, size: Any, tmp_path_factory: pytest.TempPathFactory,
+            ) -> Iterator[VirtualRig]:
+    """One rig for all stories at a `size`; none without a `browser`."""
     assert browser.is_connected()
+    assert size  # a rig for each: what one leaves behind is no other's
     with VirtualRig(tmp_path_factory.mktemp('rig'), coil_driver={
             'command_timeout_ms': 250.0, 'max_command_age_ms': 250.0}) as made:
         yield made
@@ -73,12 +82,13 @@ def _at_rest(virtual: VirtualRig) -> Iterator[None]:
 
 
 @pytest.fixture
-def visit(browser: Any, virtual: VirtualRig) -> Iterator[Any]:
+def visit(browser: Any, virtual: VirtualRig, size: tuple[int, int]) -> Iterator[Any]:
     """Opens a page in a window of its own, and gives it control."""
     contexts = []
 
     def one() -> Any:
-        contexts.append(browser.new_context(viewport={'width': 1440, 'height': 900}))
+        contexts.append(browser.new_context(
+            viewport={'width': size[0], 'height': size[1]}))
         page = contexts[-1].new_page()
         page.goto(virtual.address)
         page.wait_for_selector('#overlay .rings g', state='attached', timeout=60_000)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hands import part
+from hands import on_page, part
 
 pytestmark = pytest.mark.rig
 
@@ -167,7 +167,7 @@ def test_stop_works_as_a_viewer_who_can_do_nothing_else(open_page, rig) -> None:
                      '#parameters input']:
         assert second.locator(selector).first.is_disabled(), selector
     second.click('#modes label:has(input[value=goal])')
-    second.click('#frame', position={'x': 200, 'y': 200})
+    second.mouse.click(*on_page(second, 300, 300, 1280))
     second.wait_for_selector('#messages li:has-text("Another page has control")')
     second.keyboard.press('Escape')
     rig.wait_for('stop')
