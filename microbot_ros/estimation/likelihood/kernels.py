@@ -535,9 +535,12 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
         ½ log det of the innovations over both axes.
     used : int
         Rows used.
+    factors : ndarray, shape (T, N, 3)
+        Elements xx, yx and yy of the triangular matrices by which innovations become white; 0 in
+        unused rows.
     """
     T, N, M = columns.shape
-    out = np.zeros((T, N, M), np.complex128)
+    out, factors = np.zeros((T, N, M), np.complex128), np.zeros((T, N, 3))
     log_det, used, product = 0.0, 0, 1.0
     noises = _heading_noises(times, diffusion_ratio, retention)
     place, turn = np.zeros(M, np.complex128), np.zeros(M, np.complex128)
@@ -564,7 +567,9 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
             for m in range(M):
                 i, j = _taken(place, turn, m, columns[k, n, m], gains)
                 out[k, n, m] = complex(i * scale_x, (j - lean * i) * scale_y)
-    return out, log_det + 0.5 * math.log(product), used
+            factors[k, n, 0], factors[k, n, 1] = scale_x, -lean * scale_y
+            factors[k, n, 2] = scale_y
+    return out, log_det + 0.5 * math.log(product), used, factors
 
 
 @numba.njit(**_KEPT)
