@@ -615,8 +615,10 @@ def _candidates(fit: ModelFit, names: Iterable[str], run: Run) -> tuple[Candidat
 
 
 def _possible(found: CandidateFit) -> bool:
-    """Return whether an effect without a shape lies inside its physical bounds.
+    """Return whether the strengths of an effect lie inside their physical bounds.
 
-    On a bound it stands in for another cause.
+    On a bound it stands in for another cause. Bounds that are limits of a curve count as inside
+    (`Effect.shape_seen`). A shape that is not seen does not make an effect impossible.
     """
-    return found.has_shape or found.shape_seen
+    effect = found.fit.model.effect(found.id)
+    return found.shape_seen or bool(found.has_shape and effect and effect.within_bounds())
