@@ -15,6 +15,7 @@ from geometry_msgs.msg import Point, PoseArray, PoseStamped, TwistStamped, Vecto
 from nav_msgs.msg import Path
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Bool, Header, String
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -295,6 +296,7 @@ class ControllerNode(RigNode, ControllerCore):
         self.publisher(String, '~/controllers', LATCHED).publish(
             String(data=json.dumps(summaries, ensure_ascii=False)))
         self.every(0.05, self._watch)
+        self.service(Trigger, '~/list_controllers', self._on_list)
         self._progress = self.publisher(DiagnosticStatus, '~/progress')
         self._tell_goals(Time())
         self._path_taken.publish(Path())
@@ -329,6 +331,16 @@ class ControllerNode(RigNode, ControllerCore):
         level = {Result.OK: OK, Result.FAULT: ERROR}.get(outcome.result, WARN)
         waits = 'not armed: starts when armed; ' * self.stage.waits
         return level, f'{name}: {waits}{outcome.message or "driving"}', values
+
+    def _on_list(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        active = self.stage.manager.active
+        answer.success = True
+        answer.message = json.dumps([
+            {'name': name, 'state': 'active' if name == active else 'inactive',
+             'summary': kind.summary, 'takes': self._takes(name)}
+            for name, kind in self.stage.classes.items()],
+            ensure_ascii=False)
+        return answer
 
     def _watch(self) -> None:
         """Command zero once if poses stop arriving, then stay silent and report the duration."""

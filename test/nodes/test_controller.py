@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import time
@@ -18,6 +19,7 @@ from rclpy.parameter import Parameter
 from schemas import conforming
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -350,9 +352,11 @@ def test_to_cancel_is_never_refused(ros: Any) -> None:
     loop.graph.until(lambda: len(loop.node.stage.goals) == 0)
 
 
-def test_each_controller_takes_what_it_acts_on(ros: Any) -> None:
-    node = Loop(ros).node
-    takes = {name: set(node._takes(name)) for name in node.stage.classes}
+def test_the_list_of_controllers_tells_what_each_takes(ros: Any) -> None:
+    loop = Loop(ros)
+    listed = conforming('controller/list_controllers', loop.graph.call(
+        Trigger, 'controller/list_controllers', Trigger.Request()).message)
+    takes = {one['name']: set(one['takes']) for one in listed}
     assert takes['hold'] == takes['manual'] == takes['open_loop'] == set()
     assert takes['waypoint'] == {'goals', 'particle_goals'}
     assert (takes['path_following'], takes['experiment'], takes['teleop']) == (
@@ -664,7 +668,7 @@ def test_frames_that_overtake_each_other_give_the_field_no_time(ros: Any) -> Non
     assert strengths[-1] > strengths[0]
 
 
-def test_the_parameter_switches(ros: Any) -> None:
+def test_the_parameter_switches_and_the_service_lists(ros: Any) -> None:
     loop = Loop(ros)
 
     refused = loop.set(controller='steam')
@@ -673,3 +677,7 @@ def test_the_parameter_switches(ros: Any) -> None:
     assert loop.set(controller='open_loop').successful
     assert loop.node.settings.controller == 'open_loop'
     loop.graph.until(lambda: loop.see() or (loop.fields and loop.strength() > 4.9e-3))
+    listed = loop.graph.call(Trigger, 'controller/list_controllers', Trigger.Request())
+    states = {one['name']: one['state'] for one in json.loads(listed.message)}
+    assert {name for name, state in states.items() if state == 'active'} == {'open_loop'}
+    assert {'hold', 'waypoint', 'path_following'} <= states.keys()

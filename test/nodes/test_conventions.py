@@ -122,7 +122,7 @@ def test_topics_are_remapped(ros: Any) -> None:
 
 
 @pytest.mark.parametrize('name', NODES)
-def test_strings_have_a_schema_and_services_no_payload(start: Any, name: str) -> None:
+def test_strings_have_a_schema_and_services_standard_types(start: Any, name: str) -> None:
     """Of all that a node really publishes and offers: JSON only by a published schema, and only
     services that switch or trigger."""
     node = start(name).nodes[name]
