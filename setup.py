@@ -37,7 +37,8 @@ development = [
     *everything, *beyond, *documents, *tests, 'axe-playwright-python', 'catkin_pkg',
     'colcon-common-extensions', 'coverage', 'duckdb', 'fastjsonschema', 'import-linter',
     'magpylib', 'mm-test-adapters', 'mypy', 'numpydoc', 'playwright>=1.48', 'polars',
-    'pyoperon>=0.6', 'pysindy', 'pytest-cov', 'pytest-xdist', 'ruff', 'StochasticForceInference',
+    'pyoperon>=0.6', 'pysindy', 'pytest-cov', 'pytest-xdist', 'rosdep', 'ruff',
+    'StochasticForceInference',
     'trackpy', 'types-PyYAML', 'types-pyserial', 'wheel',
 ]
 

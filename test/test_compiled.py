@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import microbot_ros
-from microbot_ros.common.first_compilation import COMPILES
+from microbot_ros.common.compiled import COMPILES
 
 pytestmark = pytest.mark.rig
 
@@ -27,7 +27,7 @@ def half(x):
 COMPILE = """
 import sys
 
-from microbot_ros.common.first_compilation import COMPILES
+from microbot_ros.common.compiled import COMPILES
 import threading
 import time
 from pathlib import Path
@@ -97,8 +97,50 @@ def test_code_of_older_sources_is_never_called(tmp_path):
     assert said(tmp_path, call) == ['2.0']
 
 
+DECLARED = """
+from compiled_twice import half
+from microbot_ros.common.compiled import numba
+
+@numba.njit('(float64,)', cache=True)
+def quarter(x):
+    return half(half(x)) + numba.uintp(1)
+"""
+
+LOAD = """
+import sys
+from declared import half, quarter
+assert 'numba' not in sys.modules
+from microbot_ros.common.compiled import load
+load()
+import declared, numba
+assert declared.numba is numba
+assert quarter.signatures == [(numba.float64,)]
+assert half.stats.cache_path == declared.half.stats.cache_path
+print(declared.quarter(8), quarter(4), half(3))
+from later import eighth
+print(eighth(16))
+"""
+
+LATER = """
+from declared import quarter
+from microbot_ros.common.compiled import numba
+
+@numba.njit()
+def eighth(x):
+    return quarter(x) / 2
+"""
+
+
+def test_numba_is_loaded_by_the_first_call_and_compiles_what_is_declared(tmp_path):
+    (tmp_path / 'compiled_twice.py').write_text(FUNCTION)
+    (tmp_path / 'declared.py').write_text(DECLARED)
+    (tmp_path / 'later.py').write_text(LATER)
+    assert said(tmp_path, LOAD) == ['3.0', '2.0', '1.5', '2.5']
+    assert said(tmp_path, 'from declared import quarter; print(quarter(8))') == ['3.0']
+
+
 TOLD = """
-from microbot_ros.common.first_compilation import tell_of_compiling
+from microbot_ros.common.compiled import tell_of_compiling
 tell_of_compiling(print)
 from compiled_twice import half
 half(8), half(2.5)
@@ -114,7 +156,7 @@ def test_it_is_told_once_that_code_is_compiled_and_only_where_it_is(tmp_path):
 
 
 CLONED = """
-from microbot_ros.common.first_compilation import tell_of_compiling
+from microbot_ros.common.compiled import tell_of_compiling
 tell_of_compiling(print)
 import numpy as np
 from microbot_ros.magnetics import loop

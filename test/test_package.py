@@ -11,6 +11,7 @@ import sys
 import types
 import xml.etree.ElementTree as ElementTree
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -169,6 +170,33 @@ def test_rosdep_installs_the_core_from_ubuntu() -> None:
     assert not any(key.endswith('-pip') for key in keys)
 
 
+def test_rosdep_resolves_every_key_to_a_package_of_apt(tmp_path: Path) -> None:
+    """`rosdep install --simulate` with the index that is kept in test/data/rosdep."""
+    index = ROOT / 'test' / 'data' / 'rosdep'
+    (tmp_path / '20-default.list').write_text(f'yaml file://{index}/keys.yaml\n')
+    # --ignore-src leaves out what AMENT_PREFIX_PATH has: the wheels of ROS.
+    environment = {**_environment(), 'AMENT_PREFIX_PATH': str(tmp_path),
+                   'ROS_HOME': str(tmp_path / 'home'), 'ROSDEP_SOURCE_PATH': str(tmp_path),
+                   'ROSDISTRO_INDEX_URL': f'file://{index}/index-v4.yaml'}
+
+    def rosdep(*words: str) -> str:
+        done = subprocess.run([BIN / 'rosdep', *words, '--rosdistro', 'jazzy'], cwd=tmp_path,
+                              env=environment, capture_output=True, text=True, timeout=100)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    shutil.copy(ROOT / 'package.xml', tmp_path)
+    rosdep('update')
+    said = rosdep('install', '--simulate', '--reinstall', '--from-paths', '.', '--ignore-src',
+                  '--os', 'ubuntu:noble', '-y')
+    assert re.findall(r'^#\[(\w+)\]', said, re.MULTILINE) == ['apt']
+    keys = {item.text or '' for item in ElementTree.parse(ROOT / 'package.xml').iter()
+            if item.tag.endswith('_depend')}
+    assert set(re.findall(r'apt-get install -y (\S+)$', said, re.MULTILINE)) == {
+        key if key.startswith('python3-') else f'ros-jazzy-{key.replace("_", "-")}'
+        for key in keys}
+
+
 class Launched:
     """A launch file as it is run. launch is not on PyPI: its classes are stood in for by ones that
     keep their arguments.
@@ -254,6 +282,17 @@ def test_launch_files_start_nodes_with_parameters_that_exist(
         for parameters in node['parameters']:
             if isinstance(parameters, dict):
                 assert set(parameters) <= set(known) | {'use_sim_time'}
+
+
+@pytest.mark.timeout(600)
+def test_launch_starts_the_demo_and_ends_it() -> None:
+    """ROS's own tool for it, which is where ROS is installed."""
+    if find_spec('launch_testing') is None:
+        pytest.skip('launch_testing comes with an installation of ROS, not from PyPI')
+    done = subprocess.run(
+        [sys.executable, '-m', 'launch_testing.launch_test', ROOT / 'test/launch/demo_launch.py'],
+        cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr
 
 
 def test_what_rviz_shows_is_what_the_nodes_send() -> None:

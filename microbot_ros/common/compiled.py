@@ -1,137 +1,119 @@
-"""`numba` with a disk cache that is safe when many processes compile at once.
+"""`numba.njit` that imports numba when the first compiled function is called.
 
-The nodes of a rig start together, and on first use nothing is compiled. Numba 0.68 keeps for each
-function an index of signatures and a numbered file of machine code per signature. Between reading
-the index and writing both, another process may do the same for another signature; the index then
-points to code for other types. Called through it, a complex array is read as a real one and a time
-as an integer, silently; and as the wanted signature is never found, every call loads the file
-again until memory runs out (numba/numba#10128 is similar). Here one process at a time accesses a
-cache, and files of older sources are removed first.
-
-If `NUMBA_CACHE_DIR` is set, the code of this package is cached there by the content of its
-sources: a file and all package files that it imports. Numba itself uses the path and the time of
-one file: it recompiles in every clone, and misses changes of imported functions or constants that
-were compiled in.
+Importing numba takes 0.22 s of processor time and its compiler 0.20 s more (numba 0.68, by `python
+-X importtime`). A process that calls no compiled function needs neither. Nodes call `load` while
+they are configured, so that no frame waits for it.
 """
 
 from __future__ import annotations
 
-import fcntl
-import hashlib
-import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import cache
-from pathlib import Path
+import functools
+import os
+from collections.abc import Callable
+from threading import RLock
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
-import numba
-from numba.core import caching, config, event
+COMPILES = 'compiling code for the first time; this can take minutes and is kept'
 
-from microbot_ros.common.first_compilation import about_to_compile
-
-__all__ = ['numba']
+_who_tells: list[tuple[int, Callable[[str], None]]] = []
 
 
-class _OneAtATime(caching.IndexDataCacheFile):
-    """Cache files of one function, locked while they are read or written."""
-
-    def save(self, key: Any, data: Any) -> None:
-        with self._locked(fcntl.LOCK_EX):
-            if not self._load_index():
-                for old in Path(self._cache_path).glob(
-                        self._data_name_pattern.replace('{number:d}', '*')):
-                    old.unlink()
-            super().save(key, data)
-
-    def load(self, key: Any) -> Any:
-        try:
-            with self._locked(fcntl.LOCK_SH):
-                return super().load(key)
-        except OSError:  # the folder is missing or read-only
-            return super().load(key)
-
-    @contextmanager
-    def _locked(self, how: int) -> Iterator[None]:
-        with Path(self._cache_path, 'numba.lock').open('a') as lock:
-            fcntl.flock(lock, how)
-            yield
-
-
-_PACKAGE = Path(__file__).parents[1]  # the package's own folder
-_IMPORTED = re.compile(
-    rb'^\s*(?:from|import) microbot_ros(\.[\w.]+)?(?: import (\([^)]*|.*))?', re.MULTILINE)
-
-
-@cache
-def _imported(file: Path) -> frozenset[Path]:
-    """Return the package files that a `file` imports directly."""
-    found = set()
-    for module, names in _IMPORTED.findall(file.read_bytes()):
-        place = _PACKAGE.joinpath(*module.decode().split('.')[1:])
-        inside = (place / f'{name}.py' for name in re.findall(r'\w+', names.decode()))
-        found |= {path for path in (place.with_suffix('.py'), place / '__init__.py', *inside)
-                  if path.is_file()}
-    return frozenset(found)
-
-
-@cache
-def digest(file: Path) -> str:
-    """Return the digest of a package `file` and of all package files that it imports.
+def tell_of_compiling(tell: Callable[[str], None]) -> None:
+    """Call `tell` with a sentence once this process compiles code that is not cached.
 
     Parameters
     ----------
-    file : Path
-        The file.
-
-    Returns
-    -------
-    str
-        Hexadecimal digest.
+    tell : callable
+        Function that is called with the sentence.
     """
-    found, new = {file}, {file}
-    while new:
-        new = {path for one in new for path in _imported(one)} - found
-        found |= new
-    made = hashlib.sha256()
-    for path in sorted(found):
-        made.update(b'%s\0%s\0' % (str(path.relative_to(_PACKAGE)).encode(), path.read_bytes()))
-    return made.hexdigest()[:16]
+    _who_tells[:] = [(os.getpid(), tell)]
 
 
-# Older releases of numba mark its name as private.
-_Provided: Any = next(kind for name, kind in vars(caching).items()
-                      if name.lstrip('_') == 'UserProvidedCacheLocator')
+def _about_to_compile() -> None:
+    while _who_tells:
+        process, tell = _who_tells.pop()
+        if process == os.getpid():  # forked workers leave the report to their parent
+            tell(COMPILES)
 
 
-class _ByContent(_Provided):
-    """Location in `NUMBA_CACHE_DIR` for the code of a package file, by its `digest`."""
+class _Compiled:
+    """Stand-in for a function until numba is loaded, with the attributes of numba's dispatcher."""
 
-    def __init__(self, py_func: Any, py_file: str) -> None:
-        super().__init__(py_func, py_file)
-        self._digest = digest(Path(py_file))
-        folder = Path(config.CACHE_DIR)  # type: ignore[attr-defined]
-        self._cache_path = str(folder / f'{Path(py_file).stem}-{self._digest}')
+    def __init__(self, function: FunctionType, declared: list[str],
+                 options: dict[str, Any]) -> None:
+        functools.update_wrapper(self, function)
+        self.function, self.declared, self.options = function, declared, options
+        self.dispatcher: Any = None
 
-    def get_source_stamp(self) -> str:
-        return self._digest
+    def __call__(self, *arguments: Any) -> Any:
+        if self.dispatcher is None:
+            load()
+        return self.dispatcher(*arguments)
 
-    @classmethod
-    def from_function(cls, py_func: Any, py_file: str) -> Any:
-        ours = _PACKAGE in Path(py_file).parents
-        return super().from_function(py_func, py_file) if ours else None
-
-
-class _Announced(event.Listener):
-    """Listener that reports before code is compiled; loading cached code does not count."""
-
-    def on_start(self, event: Any) -> None:
-        about_to_compile()
-
-    def on_end(self, event: Any) -> None:
-        pass
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith('__'):
+            raise AttributeError(name)
+        load()
+        return getattr(self.dispatcher, name)
 
 
-event.register('numba:compile', _Announced())
-caching.IndexDataCacheFile = _OneAtATime  # type: ignore[misc]
-caching.CacheImpl._locator_classes.insert(0, _ByContent)
+_lock = RLock()
+_new: list[_Compiled] = []
+_loaded = False
+
+
+def _njit(signatures: list[str] | str = '', **options: Any) -> Callable[[FunctionType], Any]:
+    """Return the decorator `numba.njit` with these signatures and options.
+
+    It compiles for the types of the signatures when numba is loaded, or without any for each type
+    that the function is called with.
+    """
+    declared = [signatures] if isinstance(signatures, str) else signatures
+
+    def decorate(function: FunctionType) -> Any:
+        made = _Compiled(function, [one for one in declared if one], options)
+        with _lock:
+            _new.append(made)
+            if _loaded:
+                load()
+        return made.dispatcher or made
+    return decorate
+
+
+numba: Any = SimpleNamespace(njit=_njit)
+"""What stands for the module in files with compiled functions, until it is loaded."""
+
+
+def load() -> None:
+    """Load numba for the compiled functions that were imported, if there are any.
+
+    Compiled code finds other functions among the globals of its file: the stand-ins there are
+    replaced. Declared signatures are compiled last, as they need that.
+    """
+    global _loaded
+    with _lock:
+        if not _new:
+            return
+        from microbot_ros.common import compiled_cache
+
+        if not _loaded:
+            compiled_cache.install(_about_to_compile)
+            _loaded = True
+        made, _new[:] = _new[:], []
+        module = compiled_cache.numba
+        with compiled_cache.global_compiler_lock:  # no thread compiles before all are replaced
+            for one in made:
+                one.dispatcher = module.njit(**one.options)(one.function)
+            for names in {id(one.function.__globals__): one.function.__globals__
+                          for one in made}.values():
+                for name, value in list(names.items()):
+                    if value is numba:
+                        names[name] = module
+                    elif isinstance(value, _Compiled):
+                        names[name] = value.dispatcher
+        for one in made:
+            for signature in one.declared:
+                one.dispatcher.compile(signature)
+            if one.declared:
+                one.dispatcher.disable_compile()

@@ -138,9 +138,9 @@ def discover(sessions: Sequence[Session],
                                        for one in slot.within_reach], run)),
         model=fit.model,
         particles=_particle_parameters(fit),
-        remarks=(*remarks, *_reservations(known, judgement), *_confounded(start),
-                 *_not_thermal(fit), *_unsteady(fit), *_unlike_fit(start, fit),
-                 *_beyond_commands(fit)),
+        remarks=(*remarks, *_interrupted(start), *_reservations(known, judgement),
+                 *_confounded(start), *_not_thermal(fit), *_unsteady(fit),
+                 *_unlike_fit(start, fit), *_beyond_commands(fit)),
         learned=_told(learned) if learned else (),
     )
 
@@ -204,6 +204,19 @@ def _reservations(known: Hypotheses, judgement: Judgement) -> list[str]:
         f'{words(name)}: recorded for less than {EFFECTS[name].lookalike_time:.0f} s. In that '
         'time another quantity that varies with position or time can look like it.'
         for name in judgement.early]
+
+
+def _interrupted(fit: ModelFit) -> list[str]:
+    """Return a sentence per session on stretches that were left out as interruptions."""
+    told = []
+    for session in (p.session for p in fit.session_fits):
+        parts = [f'{"all particles" if one.particle is None else f"particle {one.particle}"} '
+                 f'from {one.begin:.1f} to {one.end:.1f} s' for one in session.interruptions]
+        if parts:
+            told.append(f'{session.name}: not moving as commanded, and left out: '
+                        f'{", ".join(parts)} after the first frame. Did particles stick or touch '
+                        'something, or are commands missing in the log?')
+    return told
 
 
 def _not_thermal(fit: ModelFit) -> list[str]:

@@ -29,6 +29,7 @@ from scipy.special import logsumexp, softmax
 from microbot_ros.discovery.learned.learn import Finding, learn_term, with_term
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.search import CandidateFit, compare, search, without
+from microbot_ros.estimation.likelihood.interruptions import interrupted
 from microbot_ros.estimation.likelihood.model_fit import (
     ModelFit,
     fit_sessions,
@@ -440,8 +441,9 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
 
     Effects are added while the odds favour them, dropped when the odds no longer do, and exchanged
     for rivals that became likelier. The search ends when a set of effects repeats, and returns the
-    likeliest model that it visited. If that model leaves fluctuating velocities, the search
-    continues from it with these in the noise of all fits, unless a learned term explains them.
+    likeliest model that it visited. Rows in which that model shows interruptions are left out, and
+    the search continues. If the model leaves fluctuating velocities, it continues with these in
+    the noise of all fits. Neither happens if a learned term explains the same.
 
     Parameters
     ----------
@@ -460,16 +462,48 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
         Current model, rivals and further candidates.
     """
     known = _search(sessions, taken, FEW, report, run)
-    plain = known.fit
-    for effect in plain.model.effects:
-        if effect.overrides('alignment_rate'):  # the noise filter has only one memory
-            plain = without(plain, effect.id)
+    sessions, known = _uninterrupted(sessions, known, report, run)
+    plain = _without_memory(known.fit)
     found = unsteady(sessions, plain, known.fit)
     if found is None or _explained_by_term(sessions, plain, known, found[1], report):
         return known if len(known.slots) < FEW else _search(
             sessions, known.names, MOST, report, run)
     report('looking again beside speeds that fluctuate')
     return _search(found[0], [effect.id for effect in plain.model.effects], MOST, report, run)
+
+
+def _uninterrupted(sessions: Sequence[PreparedSession], known: Hypotheses,
+                   report: Callable[[str], None], run: Run,
+                   ) -> tuple[Sequence[PreparedSession], Hypotheses]:
+    """Return the sessions without interruptions, and the hypotheses on what is left.
+
+    Interruptions are looked for beside the current model, and in place of all its effects. Both
+    results are as before if nothing is found, or if fluctuating speeds or a learned term are
+    likelier beside the current model.
+    """
+    beside = [(known.fit, known.names, known.evidence)]
+    if known.slots:
+        beside.append((known.start, (), 0.0))
+    found = [(one[1] + evidence, one[0], names) for fit, names, evidence in beside
+             if (one := interrupted(sessions, fit))]
+    if not found:
+        return sessions, known
+    most, rest, names = max(found, key=lambda one: one[0])
+    restless = unsteady(sessions, _without_memory(known.fit), known.fit)
+    term = known.term_beside(known.fit, report)
+    others = restless[1] if restless else 0.0, term.log_evidence if term else 0.0
+    if known.evidence + max(others) > most:
+        return sessions, known
+    report('looking again without interruptions')
+    return rest, _search(rest, names, FEW, report, run)
+
+
+def _without_memory(fit: ModelFit) -> ModelFit:
+    """Return a fit without effects that give headings a memory: the noise filter has only one."""
+    for effect in fit.model.effects:
+        if effect.overrides('alignment_rate'):
+            fit = without(fit, effect.id)
+    return fit
 
 
 def _explained_by_term(sessions: Sequence[PreparedSession], plain: ModelFit, known: Hypotheses,
@@ -581,8 +615,10 @@ def _candidates(fit: ModelFit, names: Iterable[str], run: Run) -> tuple[Candidat
 
 
 def _possible(found: CandidateFit) -> bool:
-    """Return whether an effect without a shape lies inside its physical bounds.
+    """Return whether the strengths of an effect lie inside their physical bounds.
 
-    On a bound it stands in for another cause.
+    On a bound it stands in for another cause. Bounds that are limits of a curve count as inside
+    (`Effect.shape_seen`). A shape that is not seen does not make an effect impossible.
     """
-    return found.has_shape or found.shape_seen
+    effect = found.fit.model.effect(found.id)
+    return found.shape_seen or bool(found.has_shape and effect and effect.within_bounds())

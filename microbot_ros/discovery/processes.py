@@ -17,6 +17,8 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Protocol, TypeVar
 
+from microbot_ros.common.compiled import load
+
 Given = TypeVar('Given')
 Found = TypeVar('Found')
 
@@ -89,6 +91,7 @@ def in_processes(call: Callable[[Given], Found], items: Sequence[Given],
         return serially(call, items)
     _work = _Work(call, items, kept)
     try:
+        load()  # once, not in each process
         context = multiprocessing.get_context('fork')
         # Without a freeze, garbage collection would write to inherited pages, which copies them.
         with ProcessPoolExecutor(min(jobs, len(items)), context, gc.freeze) as pool:

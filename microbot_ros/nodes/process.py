@@ -14,9 +14,9 @@ import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 
+from microbot_ros.common.compiled import tell_of_compiling
 from microbot_ros.common.ending import Ending, Stopped, find_launcher
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.first_compilation import tell_of_compiling
 from microbot_ros.common.real_time import LOOP, SAFETY, set_realtime_priority_of_all
 from microbot_ros.nodes.base.lifecycle import RigNode
 from microbot_ros.nodes.base.names import LOOP_NODES, NODES

@@ -8,8 +8,9 @@ import pytest
 
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.evidence import FitEvidence
-from microbot_ros.discovery.search import fit_candidate
-from microbot_ros.estimation.likelihood.model_fit import fit_sessions
+from microbot_ros.discovery.hypotheses import _possible
+from microbot_ros.discovery.search import CandidateFit, fit_candidate
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 
@@ -47,10 +48,22 @@ def test_pixels_are_no_candidate_where_coils_bend_paths_alike(film):
     ('coil_misalignment', {'skew': -1.0}, False), ('coil_misalignment', {'skew': 0.2}, True),
     ('speed_decay', {'tau': np.inf}, True), ('speed_decay', {'tau': 1.0}, False),
     ('command_delay', {'delay': 0.0}, True),
+    ('periodic_drift', {'amplitude': -1e-4, 'frequency': 1.0}, False),
     ('drive_response', {'cut_in': 0.0, 'slip': 1.0, 'step_out': 10.0}, True)])
 def test_a_strength_at_a_bound_is_not_seen(name, parameters, seen):
     """No camera and no coil goes beyond; a slip of all the gain is a limit of the curve."""
     assert EFFECTS[name](**parameters).shape_seen(SimpleNamespace()) == seen
+
+
+@pytest.mark.parametrize(('effect', 'shape_seen', 'possible'), [
+    (EFFECTS['hot_spot'](0.0, 0.0, -99e-6, 1e-5), False, True),
+    (EFFECTS['hot_spot'](0.0, 0.0, -100e-6, 1e-5), False, False),
+    (EFFECTS['drive_response'](0.0, 1.0, 10.0), True, True),
+    (EFFECTS['pixel_anisotropy'](1.5), False, False)])
+def test_a_strength_at_a_bound_is_impossible_also_beside_a_shape(effect, shape_seen, possible):
+    """A spot that is not seen whole may be there, but none pushes that hard."""
+    fit = ModelFit(Model(5e-3).with_effect(effect), ())
+    assert _possible(CandidateFit(fit, effect.id, 100.0, 4, 1.0, shape_seen)) == possible
 
 
 def test_rollers_burn_no_fuel(film):

@@ -9,7 +9,8 @@ from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.hypotheses import consider, fit_first_order
 from microbot_ros.discovery.verdict import judge
-from microbot_ros.estimation.likelihood.model_fit import fit_fluctuation, unsteady
+from microbot_ros.estimation.likelihood.fluctuation import fit_fluctuation
+from microbot_ros.estimation.likelihood.model_fit import unsteady
 
 RATE, SECONDS = 25.0, 80.0
 

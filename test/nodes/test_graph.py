@@ -10,8 +10,8 @@ from pathlib import Path
 import psutil
 import pytest
 
+from microbot_ros.common.compiled import COMPILES
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.first_compilation import COMPILES
 from microbot_ros.nodes.client.graph import Graph
 
 pytestmark = pytest.mark.rig

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from microbot_ros.cli.options import FiniteFloatRange, namespace_option
-from microbot_ros.common.first_compilation import tell_of_compiling
+from microbot_ros.common.compiled import tell_of_compiling
 
 if TYPE_CHECKING:
     from rich.console import Console

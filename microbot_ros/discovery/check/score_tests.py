@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from microbot_ros.discovery.check.covariates import Covariates, Group
 from microbot_ros.discovery.check.tail_probabilities import chi_square_tail, peak_tail_probability
@@ -261,14 +262,14 @@ def _lasting(p: SessionFit, white: np.ndarray) -> np.ndarray:
     The local-level filter follows a step by a fraction K, its steady gain, at every frame. The
     residual keeps (1 − K)^k of the step k frames later.
     """
-    from scipy.signal import lfilter
-
     if p.whitening.noise_ratio <= 0:
         return white
     ratio = 2 * p.session.interval / p.whitening.noise_ratio
     kept = 1 - (np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2
-    matched: np.ndarray = lfilter([np.sqrt(1 - kept**2)], [1, -kept], white[::-1], axis=0)
-    return matched[::-1]
+    # Not by scipy.signal, whose import takes half a second.
+    recursion = np.stack([np.full(len(white), -kept), np.ones(len(white))])
+    matched: np.ndarray = solve_banded((0, 1), recursion, np.sqrt(1 - kept**2) * white)
+    return matched
 
 
 def _curves(

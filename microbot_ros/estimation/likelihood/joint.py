@@ -134,25 +134,50 @@ class Whitening:
         count : int
             Rows used.
         """
-        from microbot_ros.estimation.likelihood.kernels import whiten_columns, whiten_with_heading
+        from microbot_ros.estimation.likelihood.kernels import whiten_columns
 
+        if self.sensitivity is not None:
+            return self.apply_with_factors(session, columns)[:3]
         rows = session.times, session.pieces
         if self.is_plain:
             return whiten_columns(*rows, columns, self.noise_ratio)
-        ratios = self.noise_ratio / np.square(self.stretch)
         columns = self._unstretched(columns)
-        if self.sensitivity is None:
-            (x, log_x, count), (y, log_y, _) = (
-                whiten_columns(*rows, np.ascontiguousarray(part), ratio)
-                for part, ratio in zip((columns.real, columns.imag), ratios, strict=True))
-            white, log_det = x + 1j * y, (log_x + log_y) / 2
-        else:
-            white, log_det, count = whiten_with_heading(
-                *rows, columns, ratios[0], ratios[1], self.diffusion_ratio,
-                self._unstretched(self.sensitivity), self.retention,
-                self._unstretched(self._swing(session)), self.wander,
-                self._kick(self.retention), self._unstretched(self._stride(self.sensitivity)))
-        return white, log_det + count * math.log(math.prod(self.stretch)), count
+        (x, log_x, count), (y, log_y, _) = (
+            whiten_columns(*rows, np.ascontiguousarray(part), self.noise_ratio / stretch**2)
+            for part, stretch in zip((columns.real, columns.imag), self.stretch, strict=True))
+        return x + 1j * y, (log_x + log_y) / 2 + self._log_stretch(count), count
+
+    def apply_with_factors(self, session: PreparedSession, columns: np.ndarray,
+                           ) -> tuple[np.ndarray, float, int, np.ndarray]:
+        """Whiten columns where headings or velocities have noise.
+
+        Parameters
+        ----------
+        session, columns
+            As for `apply`.
+
+        Returns
+        -------
+        white, log_det, count
+            As by `apply`.
+        factors : ndarray, shape (T, N, 3)
+            As by `kernels.whiten_with_heading`.
+        """
+        from microbot_ros.estimation.likelihood.kernels import whiten_with_heading
+
+        assert self.sensitivity is not None
+        ratios = self.noise_ratio / np.square(self.stretch)
+        white, log_det, count, factors = whiten_with_heading(
+            session.times, session.pieces, self._unstretched(columns), ratios[0], ratios[1],
+            self.diffusion_ratio,
+            self._unstretched(self.sensitivity), self.retention,
+            self._unstretched(self._swing(session)), self.wander,
+            self._kick(self.retention), self._unstretched(self._stride(self.sensitivity)))
+        return white, log_det + self._log_stretch(count), count, factors
+
+    def _log_stretch(self, count: int) -> float:
+        """Return the share of `stretch` in ½ log|V| of `count` rows."""
+        return count * math.log(math.prod(self.stretch))
 
     def products(self, session: PreparedSession,
                  expected: ExpectedDisplacement) -> tuple[np.ndarray, float, int]:
@@ -259,7 +284,7 @@ class SessionFit:
         """
         if expected.isotropic and whitening.stretch == (1.0, 1.0):
             return cls(session, whitening, expected, *whitening.products(session, expected))
-        white, log_det, count = whitening.apply(session, _columns(session, expected))
+        white, log_det, count = whitening.apply(session, columns_of(session, expected))
         fit = cls(session, whitening, expected, inner(white), log_det, count)
         vars(fit)['white'] = white
         return fit
@@ -267,7 +292,7 @@ class SessionFit:
     @cached_property
     def white(self) -> np.ndarray:
         """Whitened data less offset, and columns along and across (T, N, 3), of variance D."""
-        return self.whitening.apply(self.session, _columns(self.session, self.expected))[0]
+        return self.whitening.apply(self.session, columns_of(self.session, self.expected))[0]
 
     @cached_property
     def velocity_phasor(self) -> np.ndarray:
@@ -619,8 +644,21 @@ def climb(at: Callable[[float], SessionFit], low: float, high: float,
     yield at(float(np.clip(vertex, low, high)))
 
 
-def _columns(session: PreparedSession, expected: ExpectedDisplacement) -> np.ndarray:
-    """Return the data less the offset, and the columns along and across (T, N, 3)."""
+def columns_of(session: PreparedSession, expected: ExpectedDisplacement) -> np.ndarray:
+    """Return what a fit whitens: data less offset, and the columns along and across.
+
+    Parameters
+    ----------
+    session : PreparedSession
+        The data.
+    expected : ExpectedDisplacement
+        Displacements by the model.
+
+    Returns
+    -------
+    ndarray of complex, shape (T, N, 3)
+        Positions [m], and displacements per unit v [s, rollers 1].
+    """
     return np.stack([session.z - expected.offset, *(
         np.broadcast_to(column, session.z.shape) for column in (expected.along, expected.across))],
         axis=-1)

@@ -11,20 +11,23 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import types
 
 from microbot_ros.common.compiled import numba
 from microbot_ros.model.physics.alignment_kernel import given
 
-_ROWS = (given(types.float64, 1, 'C'), given(types.int64, 2, 'C'))
+_ROWS = f"{given('float64', 1, 'C')}, {given('int64', 2, 'C')}"
 """Types of `times` and `pieces`."""
+_COLUMNS, _TURNS = given('complex128', 3, 'C'), given('complex128', 2, 'C')
+"""Types of columns, and of sensitivities and scatter."""
+_RETENTION = given('float64', 2, 'C')
+"""Type of `retention`, and of the covariances' increments."""
 
 _KEPT: dict[str, Any] = {'cache': True, 'error_model': 'numpy'}
 """Options of all loops. Without a check of every division they take 15 % less time."""
 
 
-@numba.njit([(*_ROWS, given(kind, 3, 'C'), types.float64)
-             for kind in (types.complex128, types.float64)], **_KEPT)
+@numba.njit([f"({_ROWS}, {given(kind, 3, 'C')}, float64)" for kind in ('complex128', 'float64')],
+            **_KEPT)
 def whiten_columns(times, pieces, columns, noise_ratio):  # type: ignore[no-untyped-def]
     """Whiten columns by the gain of the local-level model.
 
@@ -140,8 +143,7 @@ def whitened_products(times, pieces, z, offset, along, noise_ratio):  # type: ig
     return products, log_det, used
 
 
-@numba.njit([(given(types.complex128, 3, 'C'), given(types.complex128, 3, 'C'), types.float64)],
-      **_KEPT)
+@numba.njit(f'({_COLUMNS}, {_COLUMNS}, float64)', **_KEPT)
 def joint_products(white, others, scale):  # type: ignore[no-untyped-def]
     """Return inner products of two groups of whitened columns together.
 
@@ -491,11 +493,8 @@ def _logged(log_det, product):  # type: ignore[no-untyped-def]
     return log_det + 0.5 * math.log(product), 1.0
 
 
-@numba.njit([(*_ROWS, given(types.complex128, 3, 'C'), types.float64, types.float64,
-             types.float64, given(types.complex128, 2, 'C'), given(types.float64, 2, 'C'),
-             given(types.complex128, 2, 'C'), types.float64, given(types.float64, 2, 'C'),
-             given(types.complex128, 2, 'C'))],
-            **_KEPT)
+@numba.njit(f'({_ROWS}, {_COLUMNS}, float64, float64, float64, {_TURNS}, {_RETENTION}, {_TURNS}, '
+            f'float64, {_RETENTION}, {_TURNS})', **_KEPT)
 def whiten_with_heading(  # type: ignore[no-untyped-def]
         times, pieces, columns, ratio_x, ratio_y, diffusion_ratio, sensitivity, retention,
         swing, wander, kick, stride):
@@ -535,9 +534,12 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
         ½ log det of the innovations over both axes.
     used : int
         Rows used.
+    factors : ndarray, shape (T, N, 3)
+        Elements xx, yx and yy of the triangular matrices by which innovations become white; 0 in
+        unused rows.
     """
     T, N, M = columns.shape
-    out = np.zeros((T, N, M), np.complex128)
+    out, factors = np.zeros((T, N, M), np.complex128), np.zeros((T, N, 3))
     log_det, used, product = 0.0, 0, 1.0
     noises = _heading_noises(times, diffusion_ratio, retention)
     place, turn = np.zeros(M, np.complex128), np.zeros(M, np.complex128)
@@ -564,7 +566,9 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
             for m in range(M):
                 i, j = _taken(place, turn, m, columns[k, n, m], gains)
                 out[k, n, m] = complex(i * scale_x, (j - lean * i) * scale_y)
-    return out, log_det + 0.5 * math.log(product), used
+            factors[k, n, 0], factors[k, n, 1] = scale_x, -lean * scale_y
+            factors[k, n, 2] = scale_y
+    return out, log_det + 0.5 * math.log(product), used, factors
 
 
 @numba.njit(**_KEPT)

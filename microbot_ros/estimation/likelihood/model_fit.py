@@ -10,9 +10,8 @@ from functools import cached_property, partial
 import numpy as np
 
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood.fluctuation import fit_fluctuation, fluctuating
 from microbot_ros.estimation.likelihood.joint import (
-    LARGEST,
-    SMALLEST,
     SessionFit,
     Whitening,
     climb,
@@ -66,27 +65,6 @@ TURNING = math.log(1e-5), math.log(10.0)
 Choice: spheres in water have these at radii of 25 and 0.25 µm.
 """
 
-SHORTEST, LONGEST, PART = 2.0, 5.0, 0.05
-"""Bounds of the correlation time of speeds: at least this many frame intervals, at most `LONGEST`
-seconds, and at most the fraction `PART` of the recording.
-
-Choice: what lasts longer is a trend, which has other names."""
-
-LEAST = 0.01
-"""Smallest strength of a fluctuation: a fraction of the speed, or of a frame interval [s]; and of
-the wander over it, or of a swing.
-
-Choice: with half or twice of it the log likelihood changes by less than 0.1."""
-
-WIDEST = 1e9
-"""Ratio of the largest to the smallest variance of a kind of noise.
-
-Choice: far beyond any result.
-"""
-
-STARTS = 0.2, 2.0
-"""Correlation times [s] from which the search starts. Choice: either side of usual ones."""
-
 BEYOND = 10.0
 """Gain in −2 log likelihood, beyond the Bayesian information criterion, for speeds to fluctuate.
 
@@ -98,9 +76,6 @@ BY_CHANCE = 0.01
 
 Choice: cuts lose hardly any data.
 """
-
-MOVES = 1e-12
-"""Displacement [m] between frames that counts as none. Choice: far below localisation errors."""
 
 COLLINEAR = 1e-7
 """Fraction of a column's power below which v and φ absorb it. Choice: above rounding errors."""
@@ -428,47 +403,6 @@ def _fit_noise(model: Model, fit: SessionFit, near: bool) -> SessionFit:
     return _last(search_noise_ratio(start, near))
 
 
-def fluctuating(fit: SessionFit, time: float) -> Whitening:
-    """Return the noise of a fit with fluctuating velocities.
-
-    Parameters
-    ----------
-    fit : SessionFit
-        Fit of the session.
-    time : float
-        Correlation time [s].
-
-    Returns
-    -------
-    Whitening
-        Of the same strengths as the fit's.
-    """
-    interval = np.diff(fit.session.times)[:, None]
-    moved = fit.moved
-    length = np.abs(moved)
-    way = np.where(length > MOVES, moved / np.maximum(length, MOVES), 0)
-    velocity = np.pad(moved / interval, ((1, 1), (0, 0)), mode='edge')
-    # A change within one interval shows in three, by a half, all and a half of it: 3/2 in all.
-    change = np.abs(velocity[2:] - velocity[:-2]) ** 2 / 1.5
-    return _correlated(replace(
-        fit.whitening, way=np.concatenate([way[:1], way]), change=change,
-        stride=way * np.sqrt(length)), moved, interval, time)
-
-
-def _correlated(noise: Whitening, moved: np.ndarray, interval: np.ndarray,
-                time: float) -> Whitening:
-    """Return `noise` with another correlation `time` [s] of velocities.
-
-    `moved` (T − 1, N) [m] is the motion in every `interval` (T − 1, 1) [s].
-    """
-    retention = np.exp(-interval / time)
-    # A deviation at the start of an interval acts for as long as it lasts.
-    sensitivity = moved * ((1 - retention) * time / interval)
-    return replace(
-        noise, fluctuation=time, sensitivity=np.ascontiguousarray(sensitivity),
-        retention=np.ascontiguousarray(np.broadcast_to(retention, sensitivity.shape)))
-
-
 def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
              best: ModelFit) -> tuple[list[PreparedSession], float] | None:
     """Return sessions whose noise includes fluctuating speeds, where the data support it.
@@ -509,65 +443,6 @@ def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
                 evidence += paid / 2
         restless.append(one)
     return (restless, evidence) if evidence else None
-
-
-def fit_fluctuation(fit: SessionFit, model: Model) -> SessionFit:
-    """Fit the noise of a session with fluctuating velocities.
-
-    Commands that act early or late, uneven steps and the swing of rollers are part of it. The
-    search climbs from the noise of the fit, or from STARTS where its velocities are steady.
-
-    Parameters
-    ----------
-    fit : SessionFit
-        Fit of the session.
-    model : Model
-        Its model.
-
-    Returns
-    -------
-    SessionFit
-        The same displacements with new noise.
-    """
-    from scipy.optimize import minimize
-
-    session, known = fit.session, fit.whitening
-    h, rolls = session.interval, model.propulsion == 'rolling'
-    longest = min(LONGEST, PART * float(np.ptp(session.times)))
-    total = known.noise_ratio + h / 3
-    speed = float(np.abs(fit.moved).mean()) / h
-    unit = max(speed, MOVES / h)
-    # Over D: (reading, speed, correlation time, wander, jitter, unevenness, swing).
-    if known.fluctuation is None:
-        starts = [(total, 0.3**2 / (time * fit.diffusion), time, 0.1, (h / 4)**2 / fit.diffusion,
-                   0.1 / unit, total) for time in STARTS if time < longest]
-    else:
-        starts = [(total, known.diffusion_ratio, known.fluctuation, known.wander,
-                   known.jitter_ratio, known.uneven_ratio, known.swing_ratio)]
-    low = np.log([SMALLEST * h, LEAST**2 / (longest * fit.diffusion), SHORTEST * h, LEAST,
-                  (LEAST * h)**2 / fit.diffusion, LEAST / unit, LEAST * h])
-    high = low + np.log(WIDEST)
-    high[[0, 2, 3]] = np.log([LARGEST * h, longest, 1 / LEAST])
-    count = len(low) if rolls else len(low) - 1
-
-    some = replace(fluctuating(fit, longest), stretch=model.stretch)
-    moved, interval = fit.moved, np.diff(session.times)[:, None]
-
-    def at(u: np.ndarray) -> SessionFit:
-        around, speed, time, wander, jitter, uneven, *swing = np.exp(u).tolist()
-        noise = replace(
-            _correlated(some, moved, interval, time), noise_ratio=around - h / 3,
-            diffusion_ratio=speed, wander=wander, jitter_ratio=jitter, uneven_ratio=uneven,
-            swing_ratio=swing[0] if rolls else 0.0)
-        return SessionFit.of(session, noise, fit.expected)
-
-    bounds = list(zip(low[:count], high[:count], strict=True))
-    begun = [np.clip(np.log(np.maximum(of, 1e-300)), low, high)[:count] for of in starts]
-    begin = max(begun, key=lambda u: at(u).restricted_log_likelihood)
-    scale = abs(at(begin).restricted_log_likelihood)
-    best = minimize(lambda u: -at(u).restricted_log_likelihood, begin, method='L-BFGS-B',
-                    bounds=bounds, options={'eps': 1e-3, 'ftol': ENOUGH / scale, 'gtol': 0.1})
-    return at(best.x)
 
 
 def _price_of_turning(fit: SessionFit) -> float:

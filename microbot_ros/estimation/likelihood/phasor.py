@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import i0e, i1e
 
 from microbot_ros.common.compiled import numba
 from microbot_ros.common.records import Conditions
@@ -117,6 +116,8 @@ def polar(velocity_phasor: np.ndarray, std: np.ndarray) -> Polar:
     Polar
         NaN where either argument is NaN.
     """
+    from scipy.special import i0e, i1e  # 0.1 s to import; `model` warms this up
+
     velocity_phasor = np.asarray(velocity_phasor, complex)
     half = _half_square(velocity_phasor, std)
     return Polar(*_moments(velocity_phasor, std, half, i0e(half), i1e(half)))

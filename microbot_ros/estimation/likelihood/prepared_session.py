@@ -110,6 +110,18 @@ def first_field(commands: Commands) -> float:
 
 
 @dataclass(frozen=True)
+class Interruption:
+    """Stretch of time from `begin` to `end` [s] in which a particle does not move as commanded.
+
+    `particle` is its id, or None for all particles.
+    """
+
+    begin: float
+    end: float
+    particle: int | None
+
+
+@dataclass(frozen=True)
 class PreparedSession:
     """One session as arrays of T frames and N tracks of P ≤ N particles.
 
@@ -140,6 +152,8 @@ class PreparedSession:
         φ [rad] from an earlier fit, for terms that depend on the heading.
     speeds_fluctuate : bool
         Whether the noise of every fit includes fluctuating speeds.
+    interruptions : tuple of Interruption
+        Stretches of time that were left out, since particles did not move as commanded.
     """
 
     name: str
@@ -153,6 +167,7 @@ class PreparedSession:
     jumps: np.ndarray
     phi: np.ndarray | None = None
     speeds_fluctuate: bool = False
+    interruptions: tuple[Interruption, ...] = ()
 
     @classmethod
     def of(cls, session: Session) -> PreparedSession:

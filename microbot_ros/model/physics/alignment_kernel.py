@@ -6,7 +6,6 @@ import math
 from typing import Literal
 
 import numpy as np
-from numba import types
 
 from microbot_ros.common.compiled import numba
 
@@ -18,15 +17,15 @@ this angle noise decides, not the equation.
 """
 
 
-def given(dtype: types.Type, dimensions: int, layout: Literal['A', 'C'] = 'A') -> types.Array:
+def given(dtype: str, dimensions: int, layout: Literal['A', 'C'] = 'A') -> str:
     """Return the numba type of arrays that a compiled function only reads.
 
     Arrays that may be written to would otherwise be compiled anew.
 
     Parameters
     ----------
-    dtype : numba type
-        Type of the elements.
+    dtype : str
+        Numba's name of the type of the elements.
     dimensions : int
         Number of dimensions.
     layout : 'A' or 'C', optional
@@ -34,10 +33,10 @@ def given(dtype: types.Type, dimensions: int, layout: Literal['A', 'C'] = 'A') -
 
     Returns
     -------
-    numba.types.Array
-        The type.
+    str
+        The type, as in signatures.
     """
-    return types.Array(dtype, dimensions, layout, readonly=True)
+    return f'Array({dtype}, {dimensions}, {layout!r}, readonly=True)'
 
 
 @numba.njit(cache=True, error_model='numpy')
@@ -122,8 +121,8 @@ def _span(relative, rate, h):  # type: ignore[no-untyped-def]
     return C, Sn, dC, dS, cos1, sin1, retention
 
 
-@numba.njit([(given(types.complex128, 1), given(types.complex128, 2),
-             given(types.float64, 2), given(types.float64, 1))], cache=True)
+@numba.njit(f'({given("complex128", 1)}, {given("complex128", 2)}, '
+            f'{given("float64", 2)}, {given("float64", 1)})', cache=True)
 def integrate_alignment(start, target, rate, span):  # type: ignore[no-untyped-def]
     """Solve dχ/dt = κ sin(ψ − χ) through S spans of constant ψ and κ, n headings at once.
 
@@ -179,8 +178,7 @@ def integrate_alignment(start, target, rate, span):  # type: ignore[no-untyped-d
     return heading, path, sensitivity, retention
 
 
-@numba.njit([(given(types.int64, 1), given(types.complex128, 2), given(types.float64, 2))],
-            cache=True)
+@numba.njit(f'({given("int64", 1)}, {given("complex128", 2)}, {given("float64", 2)})', cache=True)
 def chain_intervals(first, sensitivity, retention):  # type: ignore[no-untyped-def]
     """Return derivatives over whole frame intervals from those over their spans.
 

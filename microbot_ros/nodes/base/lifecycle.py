@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
+from microbot_ros.common.compiled import load
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.settings import defaults
 from microbot_ros.nodes.base.core import RELIABLE, Core
@@ -389,6 +390,10 @@ class RigNode(LifecycleNode, Core):
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
+    def _setup(self) -> None:
+        self.setup()
+        load()  # no callback is to wait for numba
+
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Set the node up (`setup`).
 
@@ -405,7 +410,7 @@ class RigNode(LifecycleNode, Core):
         self.fault = ''
         if self.frame:
             self.log.begin()
-        done = self._transition('configure', self.setup)
+        done = self._transition('configure', self._setup)
         if done != TransitionCallbackReturn.SUCCESS:
             self._discard()
         return done

@@ -14,9 +14,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from microbot_ros.common.compiled import COMPILES
 from microbot_ros.common.ending import PARENT
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.first_compilation import COMPILES
 from microbot_ros.nodes.base.transport import clear_shared_memory
 
 WORD = 'microbot: '

@@ -83,4 +83,4 @@ class PeriodicDrift(Effect):
 
     def shape_seen(self, evidence: Evidence) -> bool:
         """Return whether the recording has PERIODS: half a period could be anything smooth."""
-        return bool(self.frequency * evidence.duration >= PERIODS)
+        return self.within_bounds() and bool(self.frequency * evidence.duration >= PERIODS)
