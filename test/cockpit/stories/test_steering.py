@@ -348,6 +348,7 @@ def _press(page: Any, source: str) -> None:
         page.wait_for_timeout(120)
         page.evaluate('pad([1, 0])')
     else:
+        page.locator('#stick').scroll_into_view_if_needed()
         box = page.locator('#stick').bounding_box()
         page.mouse.move(box['x'] + box['width'] - 20, box['y'] + box['height'] / 2)
         page.mouse.down()
