@@ -112,13 +112,20 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
 class HeldWatch:
     """Recent past of every particle, and which of them are held.
 
+    Parameters
+    ----------
+    rolls : bool
+        Whether particles are rollers. One that stands under one command may have stepped out, so
+        it counts as held only by its response to several (`is_held`).
+
     Attributes
     ----------
     held : set of int
         Particles that a wall holds.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, rolls: bool = False) -> None:
+        self._rolls = rolls
         self.held: set[int] = set()
         self._tracks: dict[int, deque[tuple[float, complex, complex, complex]]] = {}
         self._ways: dict[int, complex] = {}
@@ -182,7 +189,7 @@ class HeldWatch:
         steps, joined = np.diff(z - carried), np.diff(t.real) < 3 * SAMPLE
         swum = np.diff(way)[joined]
         held = is_held(z[:-1][joined], steps[joined], swum, _legs(np.angle(swum)))
-        held |= self._stands(name, steps[joined], swum)
+        held |= not self._rolls and self._stands(name, steps[joined], swum)
         (self.held.add if held else self.held.discard)(name)
 
     def _stands(self, name: int, steps: np.ndarray, swum: np.ndarray) -> bool:

@@ -5,6 +5,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from microbot_ros.common.records import Conditions
 from microbot_ros.estimation import held as held_module
 from microbot_ros.estimation.held import SAMPLE, HeldWatch
 from microbot_ros.estimation.online.estimator import Estimator
@@ -110,6 +111,23 @@ def test_it_is_known_again_once_another_command_leads_it_away(seed):
                 wall=15e-6, start=(-5e-6, 0.0), seed=seed)
     assert held(told)[0] < 20 < 25 < held(told)[-1] < 32
     assert told[-1][1] == pytest.approx(SPEED, rel=0.15)
+
+
+def test_a_roller_that_steps_out_is_not_held():
+    """Beyond its step-out frequency it stands, wherever it is."""
+    random, place, told = np.random.default_rng(3), np.zeros(2), []
+    estimator = Estimator(Conditions('rolling'))
+    for frame in range(int(30 * RATE)):
+        t = frame / RATE
+        frequency = 5.0 if t < 15 else 20.0
+        estimator.command(t, FIELD * np.array([np.cos(0.9 * t), np.sin(0.9 * t)]), frequency)
+        found = estimator.update(
+            t, np.array([7]), (place + random.normal(0, READ, 2))[None], np.full(1, READ))
+        told.append((t, float(found.speed[0]), found.diagnosis))
+        speed = 2e-6 * frequency if frequency < 10 else 0.0
+        place = place + speed / RATE * np.array([np.cos(0.9 * t + PHI), np.sin(0.9 * t + PHI)])
+        place += random.normal(0, np.sqrt(2 * DIFFUSION / RATE), 2)
+    assert held(told) == []
 
 
 def test_a_particle_is_looked_at_once_for_every_sample():

@@ -105,7 +105,7 @@ class Estimator:
         self._track_faults = TrackFaults()
         self._faults: tuple[str, ...] = ()
         self._restless: set[int] = set()
-        self._held = HeldWatch()
+        self._held = HeldWatch(model.propulsion == 'rolling')
         self._moved: dict[int, tuple[complex, complex]] = {}
         self._next_question = -np.inf
         self._t = -np.inf
