@@ -167,10 +167,10 @@ def test_frames_without_room_for_them_are_counted(kind, source, opened):
     assert stream.lost == stream._camera._stream.get_statistics()[2] > 50
 
 
-@aravis.marks[0]
-def test_stamps_are_by_the_devices_clock(opened):
+@pytest.mark.parametrize(('kind', 'source'), [aravis])
+def test_stamps_are_by_the_devices_clock(kind, source, opened):
     """They are regular where arrivals, read late on purpose, are not."""
-    stream = opened('aravis', 'Fake_1', width_px=64, height_px=64, frame_rate_hz=100.0)
+    stream = opened(kind, source, width_px=64, height_px=64, frame_rate_hz=100.0)
     assert stream.format.clock is Clock.DEVICE
     rows = read(stream, 60, lambda frame: time.sleep(0.05 if frame.number % 20 == 0 else 0.0))
     _, moments, arrivals = rows.T

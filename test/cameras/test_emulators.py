@@ -9,17 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from bench._aravis import has_aravis
-
 ALL = Path(__file__).with_name('emulated.py')
 
 
 @pytest.mark.rig
-@pytest.mark.parametrize('kind', ['pylon', 'micromanager', pytest.param(
-    'aravis', marks=pytest.mark.skipif(not has_aravis(), reason='needs Aravis and PyGObject'))])
+@pytest.mark.parametrize('kind', ['pylon', 'micromanager', 'aravis'])
 def test_a_camera_does_as_asked(kind):
-    others = {'pylon', 'micromanager', 'aravis'} - {kind}
-    done = subprocess.run(
-        [sys.executable, '-m', 'pytest', str(ALL), '-k', f'not {" and not ".join(others)}'],
-        capture_output=True, text=True)
+    done = subprocess.run([sys.executable, '-m', 'pytest', '-rs', str(ALL), '-k', kind],
+                          capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
+    if ' passed' not in done.stdout:
+        pytest.skip(done.stdout.split('SKIPPED')[-1])

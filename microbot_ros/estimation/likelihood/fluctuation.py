@@ -17,6 +17,7 @@ from functools import lru_cache
 import numpy as np
 
 from microbot_ros.estimation.likelihood.joint import (
+    ENOUGH,
     LARGEST,
     SMALLEST,
     SessionFit,
@@ -46,12 +47,6 @@ Choice: far beyond any result.
 
 STARTS = 0.2, 2.0
 """Correlation times [s] from which the search starts. Choice: either side of usual ones."""
-
-ENOUGH = 0.01
-"""Predicted gain in −2 log likelihood at which a search ends: 0.1 standard deviations remain.
-
-Choice: far below any threshold of evidence; a smaller value costs steps.
-"""
 
 DIFFERENCE = 1e-3
 """Change of the logarithm of a parameter for derivatives.

@@ -40,6 +40,12 @@ SMALLEST, LARGEST = 0.05, 1e5
 Choice: beyond them σ or D does not show at all.
 """
 
+ENOUGH = 0.01
+"""Gain in −2 log likelihood at which a search ends: 0.1 standard deviations remain.
+
+Choice: far below any threshold of evidence; a smaller value costs steps.
+"""
+
 VANISHING = 1e-200
 """Power of a parameter's column, in units of the noise, below which its inverse would overflow.
 

@@ -12,6 +12,7 @@ import numpy as np
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood.fluctuation import fit_fluctuation, fluctuating
 from microbot_ros.estimation.likelihood.joint import (
+    ENOUGH,
     SessionFit,
     Whitening,
     climb,
@@ -39,12 +40,6 @@ SETTLED = 0.05
 """Relative change of an alignment time below which the rows that it explains hardly change.
 
 Choice: a smaller value costs fits.
-"""
-
-ENOUGH = 0.01
-"""Gain in −2 log likelihood at which a search ends: 0.1 standard deviations remain.
-
-Choice: far below any threshold of evidence; a smaller value costs steps.
 """
 
 SURE = 0.1
