@@ -347,7 +347,6 @@ def test_disarming_answers_what_is_known_of_the_currents(emulator: Any, ros: Any
     assert answer.message in health()[1]
 
 
-@pytest.mark.rig  # the answer that comes aside may keep the node in this process's graph
 def test_a_stop_does_not_wait_for_arming_and_what_arming_waits_for_is_refused(
         emulator: Any, ros: Any) -> None:
     graph = _start(emulator, ros)
