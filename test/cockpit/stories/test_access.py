@@ -175,7 +175,7 @@ def test_state_is_told_by_words_and_shapes_not_by_colour_alone(page, rig) -> Non
 
 
 @pytest.mark.parametrize('size', hands.SIZES)
-def test_nothing_is_cut_at_any_size(open_page, rig, tmp_path) -> None:
+def test_nothing_is_cut_at_any_size(open_page, rig, size, tmp_path) -> None:
     rig.told.update(rig='fault', sentence='disarmed, measured current deviates (deviation_A, '
                     'settling_ms): (0, 0, 0, 0) A measured, (0.799, 0.1, -0.3, 0.2) A '
                     'commanded; zero, confirmed by a reading', zero='confirmed',
@@ -200,6 +200,10 @@ def test_nothing_is_cut_at_any_size(open_page, rig, tmp_path) -> None:
     left, middle = stop['x'] + 10, stop['y'] + stop['height'] / 2
     red, green, blue = shot.getpixel((int(left), int(middle)))
     assert red > 150 > 100 > max(green, blue)
+    viewer = open_page(has_touch=True, is_mobile=True)  # whose window grows with what is too wide
+    viewer.wait_for_selector('#fact-control:has-text("another page’s, 2 pages")')
+    assert viewer.evaluate('innerWidth') == size[0]
+    assert viewer.evaluate(_CUT) == []
 
 
 @pytest.mark.parametrize('size', hands.SIZES)
