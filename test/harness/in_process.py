@@ -31,6 +31,9 @@ from microbot_ros.nodes.process import SWITCH_S, make
 
 FAILSAFE_S = 60.0
 """After this a test gives up. A machine that is overloaded needs a tenth of it."""
+LINGER_S = 10.0
+"""After this the next test begins even if something still refers to a node that has ended: what a
+test that failed has kept."""
 PATIENT: dict[str, dict[str, Any]] = {
     'coil_driver': {'command_timeout_ms': 2000.0, 'max_command_age_ms': 2000.0,
                     'settling_ms': 2000.0, 'feedback_timeout_ms': 5000.0},
@@ -140,20 +143,19 @@ class Ros:
         ended = []
         while self.nodes:
             node = self.nodes.popitem()[1]
-            ended.append((node.get_name(), weakref.ref(node)))
+            ended.append(weakref.ref(node))
             self._end(node)
             del node
         self._executor.remove_node(self.probe)
         self.probe.destroy_node()
         self._executor.shutdown()
-        del self.probe, self._executor
+        vars(self).clear()  # what a test added to it, too
         # The graph, which later tests of this process share, shows a node for as long as anything
-        # refers to it: a thread that has not quite ended does.
-        deadline = time.monotonic() + FAILSAFE_S
+        # refers to it, such as a thread that has not quite ended.
         gc.collect()
-        while left := [name for name, node in ended if node()]:
-            assert time.monotonic() < deadline, f'{left} are still referred to'
-            time.sleep(0.01)
+        deadline = time.monotonic() + LINGER_S
+        while any(node() for node in ended) and time.monotonic() < deadline:
+            time.sleep(0.02)
             gc.collect()
 
     def _end(self, node: RigNode) -> None:
