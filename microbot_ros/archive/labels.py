@@ -74,7 +74,7 @@ def labels_of(found: Found) -> Labels:
 
     The day is that of `archive.yaml`, else that of the recording's own clock, else a date in the
     names of file and folders, such as 2026-03-14. The kind is that of `archive.yaml`, else, for
-    tables and films, the name of their folder below the requested one, unless that is a date.
+    tables and films, the name of the nearest folder below the requested one that is no date.
 
     Parameters
     ----------
@@ -94,10 +94,9 @@ def labels_of(found: Found) -> Labels:
     said = stated(found)
     day = said.get('recorded') or _clock(found) or _dated(found.name)
     kind = said.get('kind')
-    folder = found.path.parent
-    if kind is None and found.kind in ('table', 'film') and folder != found.top \
-            and found.top in folder.parents and not _DAY.search(folder.name):
-        kind = folder.name
+    if kind is None and found.kind in ('table', 'film'):
+        above = found.path.relative_to(found.top).parent.parts
+        kind = next((name for name in reversed(above) if not _DAY.search(name)), None)
     return Labels(said.get('rig'), said.get('batch'), day, kind)
 
 

@@ -6,6 +6,7 @@ bytes of all other files, or the columns of a table, show what they are.
 
 from __future__ import annotations
 
+import codecs
 import hashlib
 import os
 import re
@@ -28,6 +29,8 @@ MARK = '.microbot'
 requested."""
 
 LABELS = 'archive.yaml'
+_HIDDEN = ('.', '~$')
+"""Beginnings of names of hidden files; `~$` are locks of Excel while a workbook is open."""
 _SESSION = ('tracks.csv', 'commands.csv', 'session.yaml')
 _SHEETS = ('.csv', '.tsv', '.xlsx', '.xlsm')
 _CLAIMS = (*_SHEETS, '.xls', '.mcap', '.db3', '.avi', '.mp4', '.mov', '.mkv', '.webm', '.m4v')
@@ -232,13 +235,13 @@ def find(folders: Sequence[Path], cards: FileCards) -> Iterator[Found | Refused]
             raise InputError(folder, 'expected a folder of recordings')
         for place, names, files in os.walk(top):
             here = Path(place)
-            names[:] = sorted(n for n in names if not n.startswith('.')
+            names[:] = sorted(n for n in names if not n.startswith(_HIDDEN)
                               and not (here / n / MARK).is_dir())
             if here in seen:
                 names.clear()
                 continue
             seen.add(here)
-            visible = sorted(here / f for f in files if not f.startswith('.') and f != LABELS)
+            visible = sorted(here / f for f in files if not f.startswith(_HIDDEN) and f != LABELS)
             yield from _in_folder(here, [f for f in visible if f.is_file()], top, cards)
 
 
@@ -288,7 +291,9 @@ def _refused(kinds: dict[str, list[Path]], top: Path) -> Iterator[Refused]:
     for what, files in kinds.items():
         for file in files:
             if file.suffix.lower() in _CLAIMS:
-                yield Refused.of(file, top, reasons.get(what, what))
+                old = file.suffix.lower() == '.xls'
+                yield Refused.of(file, top, 'expected .xlsx; save the file in that format' if old
+                                 else reasons.get(what, what))
 
 
 def _what(file: Path, size: int) -> str:
@@ -302,7 +307,8 @@ def _what(file: Path, size: int) -> str:
         return 'spreadsheet' if _is_workbook(file) else 'other'
     if magic and (head[:2] != b'BM' or b'\0' in head):
         return magic
-    if b'\0' in head or size > _MOST_TEXT or file.suffix.lower() in ('.yaml', '.yml', '.json'):
+    text = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or b'\0' not in head
+    if not text or size > _MOST_TEXT or file.suffix.lower() in ('.yaml', '.yml', '.json'):
         return 'other'
     return _table(file)
 

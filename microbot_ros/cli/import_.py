@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from microbot_ros.session.spreadsheets.sheets import Answers
 
 _ROLES = ('time, frame, particle, x, y, theta, direction, frequency, bx, by, speed, vx, vy, tilt, '
-          'cone')
+          'cone, gradient, sound')
 
 
 _OPTIONS = (
@@ -33,7 +33,7 @@ _OPTIONS = (
     click.option('--angle-unit', type=click.Choice(['deg', 'rad'])),
     click.option('--angle-sense', type=click.Choice(['counterclockwise', 'clockwise'])),
     click.option('--angle-offset-deg', type=FiniteFloatRange(-3600, 3600),
-                 help='Factor by which the angles of the commands are too large.'),
+                 help='Angle by which the angles of the commands are too large.'),
     click.option('--field-unit', type=click.Choice(['mT', 'T', 'G', 'fraction']),
                  help='Unit of Bx and By; fraction is of full scale.'),
     click.option('--full-scale-mT', 'full_scale_mT', type=plausible_number('reference_field_mT'),

@@ -186,3 +186,4 @@ def _serve(calls: queue.SimpleQueue[Call | None]) -> None:
     with suppress(SystemExit):  # the order to end may arrive between two calls
         while (call := calls.get()) is not None:
             call.run()
+            del call  # its exception would keep every frame up to the caller's until the next call

@@ -143,6 +143,10 @@ def test_the_most_specific_statement_counts(tmp_path):
     answers = own_answers(found, {'pixel_size': 1e-6, 'frame_rate': 20.0})
     assert (answers['pixel_size'], answers['frame_rate']) == (pytest.approx(0.4e-6), 20.0)
     assert labels_of(found).kind == 'day'
+    # Folders by day are no kinds.
+    path = table(tmp_path / 'dimers' / '2026-03-14' / 'c.csv')
+    labels = labels_of(Found(path, 'table', tmp_path, (path,)))
+    assert (labels.kind, str(labels.day)) == ('dimers', '2026-03-14')
 
 
 def test_kinds_are_compared_each_with_its_own(tmp_path):

@@ -89,6 +89,16 @@ def test_what_claims_to_be_one_and_is_none_is_named(shelf):
     assert 'it has none' in refused['shelf/money.csv']
 
 
+def test_locks_of_excel_are_hidden_and_old_books_are_named(shelf):
+    for name in ('~$book.xlsx', '._book.xlsx'):
+        (shelf / name).write_bytes(b'\3Max' + bytes(161))
+    (shelf / 'old.xls').write_bytes(b'\xd0\xcf\x11\xe0' + bytes(600))
+    (shelf / 'export.txt').write_bytes(TABLE.encode('utf-16'))
+    found, refused = look(shelf)
+    assert refused == {'shelf/old.xls': 'expected .xlsx; save the file in that format'}
+    assert found['shelf/export.txt'].kind == 'table'
+
+
 def test_a_session_keeps_what_belongs_to_it(laboratory):
     found, refused = look(laboratory)
     assert len(found) == 6

@@ -12,6 +12,7 @@ import os
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
@@ -136,14 +137,24 @@ class Ros:
 
     def end(self) -> None:
         """Leave nothing running."""
+        ended = []
         while self.nodes:
-            self._end(self.nodes.popitem()[1])
+            node = self.nodes.popitem()[1]
+            ended.append((node.get_name(), weakref.ref(node)))
+            self._end(node)
+            del node
         self._executor.remove_node(self.probe)
         self.probe.destroy_node()
         self._executor.shutdown()
         del self.probe, self._executor
-        # The graph shows a node for as long as anything refers to it.
+        # The graph, which later tests of this process share, shows a node for as long as anything
+        # refers to it: a thread that has not quite ended does.
+        deadline = time.monotonic() + FAILSAFE_S
         gc.collect()
+        while left := [name for name, node in ended if node()]:
+            assert time.monotonic() < deadline, f'{left} are still referred to'
+            time.sleep(0.01)
+            gc.collect()
 
     def _end(self, node: RigNode) -> None:
         node.make_safe_and_close()

@@ -242,7 +242,7 @@ def test_neither_field_nor_rotation_is_a_recording_at_rest(tmp_path):
 def test_tables_of_averages_are_no_recordings(tmp_path, names):
     columns = [np.arange(1, 21), np.arange(20) * 3.5, np.arange(20) * 3.6]
     path = write(tmp_path / 'a.xlsx', {'Sheet1': dict(zip(names, columns, strict=True))})
-    with pytest.raises(SummaryError, match=r'a summary of [12] columns of averages'):
+    with pytest.raises(SummaryError, match=r'a summary of (1 column|2 columns) of averages'):
         import_session(path, Answers())
 
 

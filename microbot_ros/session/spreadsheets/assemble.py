@@ -15,7 +15,7 @@ from microbot_ros.session.spreadsheets.angles import angles
 from microbot_ros.session.spreadsheets.columns import Column, find_columns
 from microbot_ros.session.spreadsheets.commands import commands_in, find_commands
 from microbot_ros.session.spreadsheets.identities import settle_identities
-from microbot_ros.session.spreadsheets.row_times import RowTimes, aligned, own_row_times
+from microbot_ros.session.spreadsheets.row_times import RowTimes, aligned, row_times
 from microbot_ros.session.spreadsheets.scale import Scale, settle_scale
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet, read_sheets
 from microbot_ros.session.spreadsheets.summary import SummaryError, summary_of
@@ -52,13 +52,12 @@ def import_session(path: Path, answers: Answers) -> tuple[Session, list[str]]:
         names = '; '.join(', '.join(filter(None, sheet.names)) for sheet in sheets)
         raise InputError(path, f'expected columns for x and y, found {names[:160]}; name them by '
                                '--column x=NAME --column y=NAME')
-    timelines = []
-    for sheet, columns in robots:
-        timeline = own_row_times(sheet, columns, answers, said)
-        if timeline is None:
-            raise InputError(sheet.place, 'expected a column of times or frames; name it by '
-                                          '--column time=NAME')
-        timelines.append(timeline)
+    timed = [part for part in robots if {'time', 'frame'} & {column.role for column in part[1]}]
+    if not timed:
+        raise InputError(robots[0][0].place, 'expected a column of times or frames; name it by '
+                                             '--column time=NAME')
+    robots = timed  # of the others it is said below that they are left out
+    timelines = row_times(robots, answers, said)
     scale = settle_scale(path, robots, timelines, answers, said)
     timelines = aligned(timelines, said)
     pieces = [
@@ -77,7 +76,7 @@ def import_session(path: Path, answers: Answers) -> tuple[Session, list[str]]:
     used |= {id(sheet) for sheet, _ in robots}
     for sheet in sheets:
         if id(sheet) not in used:
-            said.add(f'{sheet.name}: holds neither positions nor commands; left out')
+            said.add(f'{sheet.name}: holds neither positions at times nor commands; left out')
     session = Session(tracks, commands, conditions, path.stem, assumed=tuple(said),
                       speed_window=scale.window)
     check_session(path, session)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.session.spreadsheets.sheets import Sheet
@@ -19,7 +19,7 @@ _NAMES = {
           'centre x', 'center x', 'x coordinate', 'x coord'),
     'y': ('y', 'pos y', 'y pos', 'position y', 'y position', 'posy', 'centroid y', 'cy',
           'centre y', 'center y', 'y coordinate', 'y coord'),
-    'theta': ('theta', 'heading', 'orientation', 'yaw'),
+    'theta': ('theta', 'heading', 'heading angle', 'orientation', 'yaw'),
     'direction': ('direction', 'alpha', 'field angle', 'field direction', 'rolling direction'),
     'frequency': ('frequency', 'freq', 'rolling frequency', 'rotation frequency',
                   'rolling freq', 'field frequency'),
@@ -30,11 +30,14 @@ _NAMES = {
     'vy': ('vel y', 'velocity y', 'y velocity', 'vy'),
     'tilt': ('gamma', 'tilt', 'axis tilt', 'tilt angle'),
     'cone': ('psi', 'cone angle'),
+    'gradient': ('gradient', 'gradient?'),
+    'sound': ('acoustic frequency', 'acoustic freq'),
 }
 ROLES = tuple(_NAMES)
 _ROLE_OF = {name: role for role, names in _NAMES.items() for name in names}
-_SINGLE = ('time', 'frame', 'particle', 'direction', 'frequency', 'bx', 'by', 'tilt', 'cone')
-_WITNESSES = ('speed', 'vx', 'vy', 'tilt', 'cone')
+_SINGLE = ('time', 'frame', 'particle', 'direction', 'frequency', 'bx', 'by', 'tilt', 'cone',
+           'gradient', 'sound')
+_WITNESSES = ('speed', 'vx', 'vy', 'tilt', 'cone', 'gradient', 'sound')
 """Roles that only check or complete other columns: of several the first is used."""
 
 # Spelling of a unit → its suffix in `units`.
@@ -87,6 +90,9 @@ def find_columns(sheet: Sheet, named: dict[str, str]) -> list[Column]:
         column = Column(index, told, _split_unit(name)[1]) if told else _recognise(index, name)
         if column and (told or column.role not in named):
             columns.append(column)
+    roles = {column.role for column in columns}
+    if 'frequency' in roles and not roles & {'x', 'y', 'direction'}:  # a sheet of commands
+        columns = [replace(c, role='direction') if c.role == 'theta' else c for c in columns]
     # Next to the identity of a track, a bare 'ID' is a row number.
     identities = [column for column in columns if column.role == 'particle']
     if len(identities) > 1:

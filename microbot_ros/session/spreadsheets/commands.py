@@ -31,6 +31,13 @@ _LEAST_SHARE = 0.05
 _FOLLOWS, _CLEARLY_LESS = 0.7, 0.8
 """Choices: share of the path that must follow the commands if it alone ties two sheets, and share
 of that above which the other way to tie them is as good."""
+_MOST_DIFFERENT = 0.2
+"""Choice: share of rows in which tables of robots filmed together may differ in a command.
+
+They are written a frame apart, while commands change.
+"""
+_UNRECORDED = 1.0
+"""Choice: time [s] from the last row of commands to the end of the tracks that is noted."""
 _UPRIGHT = np.radians(1.0)
 """Choice: tilts that differ by less [rad] are the same axis; boards write 1.570796."""
 
@@ -87,7 +94,13 @@ def find_commands(
         said.add('no commands')
         return Commands(np.empty(0), np.empty((0, 2)))
     # A sheet with commands only takes precedence over columns repeated in tables of robots.
-    sheet, columns = next((part for part in chosen if part not in robots), chosen[0])
+    alone = [part for part in chosen if part not in robots]
+    if len(alone) > 1:
+        raise InputError(alone[1][0].place, 'expected one table of commands, found a second '
+                         f'beside {alone[0][0].name}: keep the one that belongs to these robots')
+    if not alone:
+        _refuse_different(chosen, timelines)
+    sheet, columns = (alone or chosen)[0]
     own = next((line for line in timelines if line.sheet is sheet), None)
     if own is None and any(column.role == 'time' for column in columns):
         own = own_row_times(sheet, columns, answers, said)
@@ -106,10 +119,31 @@ def find_commands(
     t, first = np.unique(own.t[known], return_index=True)
     if not len(t):
         raise InputError(sheet.place, 'expected commands, found none')
+    after = float(tracks.t[-1] - own.t[known].max())
+    if after > _UNRECORDED:
+        said.add(f'{sheet.name}: ends {after:.1f} s before the tracks; the last command is held')
     commands = changes(t, field[known][first], *(
         None if column is None else column[known][first] for column in (frequency, tilt)))
     axis = {'tilt', 'cone'} <= {column.role for column in columns}
     return settle_angles(commands, tracks, answers, said, sheet.place, axis)
+
+
+def _refuse_different(chosen: Sequence[Part], timelines: Sequence[RowTimes]) -> None:
+    """Raise InputError if robots have tables with different commands at the same times."""
+    times = {id(line.sheet): line.t for line in timelines}
+    (first, columns), *others = chosen
+    for sheet, own in others:
+        t = times[id(sheet)]
+        row = np.searchsorted(times[id(first)], t, side='right') - 1
+        both = (row >= 0) & (t <= times[id(first)][-1])
+        for role in ('direction', 'frequency', 'bx', 'by'):
+            a, b = (next((c.index for c in of if c.role == role), None) for of in (columns, own))
+            if a is None or b is None or not both.any():
+                continue
+            differ = first.witness(a)[row[both]] != sheet.witness(b)[both]
+            if differ.mean() > _MOST_DIFFERENT:
+                raise InputError(sheet.place, f"expected '{sheet.names[b]}' as in {first.name} at "
+                                              'the same times; import recordings one by one')
 
 
 def _beside_the_motion(
@@ -150,6 +184,10 @@ def _field(
     if {'bx', 'by'} <= by_role.keys():
         components = np.column_stack(
             [sheet.numbers(by_role[role].index) for role in ('bx', 'by')])
+    pulled = _other_drives(sheet, by_role, said)
+    components[pulled] = 0
+    if rotation is not None:
+        rotation = np.where(pulled, 0, rotation)
     acts = np.nan_to_num(components).any(axis=1)
     if 'direction' in by_role and (rolls or not acts.any()):
         angle = angles(sheet, by_role['direction'], columns, answers, said)
@@ -163,6 +201,19 @@ def _field(
                      'left out')
         return NOMINAL_FIELD * np.column_stack([np.cos(angle), np.sin(angle)]), rotation
     return _teslas(sheet, by_role['bx'], components, answers, said) * components, None
+
+
+def _other_drives(sheet: Sheet, by_role: dict[str, Column], said: Assumptions) -> np.ndarray:
+    """Return the rows (n,) in which coils make a gradient, and note drives that are no field."""
+    on = {role: np.nan_to_num(sheet.witness(by_role[role].index)) != 0 if role in by_role
+          else np.zeros(len(sheet.rows), bool) for role in ('gradient', 'sound')}
+    if on['gradient'].any():
+        said.add(f'{sheet.name}: coils make a gradient in {int(on["gradient"].sum())} of '
+                 f'{len(sheet.rows)} rows; no field is imported there')
+    if on['sound'].any():
+        said.add(f"{sheet.name}, '{sheet.names[by_role['sound'].index]}': sound drives the robots "
+                 f'in {int(on["sound"].sum())} of {len(sheet.rows)} rows; not imported')
+    return on['gradient']
 
 
 def _teslas(sheet: Sheet, bx: Column, components: np.ndarray, answers: Answers,

@@ -44,6 +44,43 @@ class RowTimes:
     cuts: tuple[int, ...] = ()
 
 
+def row_times(
+    robots: Sequence[tuple[Sheet, list[Column]]], answers: Answers, said: Assumptions,
+) -> list[RowTimes]:
+    """Return the times of the rows of the sheets of all `robots`, which share a tracker.
+
+    A robot seen for a few frames does not show that its times are intervals; the others do.
+
+    Parameters
+    ----------
+    robots : sequence of tuple[Sheet, list of Column]
+        Sheets of the robots with their columns, with times or frames each.
+    answers : Answers
+        Answers of the user.
+    said : Assumptions
+        Collects assumptions.
+
+    Returns
+    -------
+    list of RowTimes
+        Times of the rows of each robot.
+    """
+    first = [_times_of(part, answers, Assumptions()) for part in robots]
+    intervals = [float(np.diff(line.t).max(initial=0.0)) for line in first if line.intervals]
+    lines = []
+    for part, line in zip(robots, first, strict=True):
+        few = intervals and not line.intervals and line.t.max(initial=0.0) <= max(intervals)
+        lines.append(_times_of(part, replace(answers, times='intervals') if few else answers,
+                               said))
+    return lines
+
+
+def _times_of(part: tuple[Sheet, list[Column]], answers: Answers, said: Assumptions) -> RowTimes:
+    line = own_row_times(*part, answers, said)
+    assert line is not None  # the sheet has times or frames
+    return line
+
+
 def own_row_times(
     sheet: Sheet, columns: Sequence[Column], answers: Answers, said: Assumptions,
 ) -> RowTimes | None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
+import csv
 import math
 import re
-import zipfile
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -19,7 +20,15 @@ from microbot_ros.common.errors import InputError
 _SPREADSHEETS = ('.xlsx', '.xlsm')
 _TEXTS = ('.csv', '.tsv', '.txt', '.dat')
 _DECIMAL_COMMA = re.compile(r'^\s*[+-]?\d+,\d+\s*$')
-_BLANK = ('', 'nan', 'na', 'n/a', 'none', '-')
+_BLANK = ('', 'nan', 'na', 'n/a', 'none', '-', '#n/a', '#div/0!', '#value!', '#num!', '#ref!')
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_SAMPLE = 50
+"""Choice: rows that show how wide a table is and whether it has decimal commas."""
+_NOTE_CELLS = 0.5
+"""Choice: share of the usual number of cells below which the last rows of a table are notes.
+
+A mean below a column has one or two; a robot that is lost keeps half.
+"""
 
 
 @dataclass(frozen=True)
@@ -164,60 +173,75 @@ def read_sheets(path: Path) -> tuple[list[Sheet], list[str]]:
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in _TEXTS)
         if not files:
             raise InputError(path, f'expected files ending in {", ".join(_TEXTS)}')
-        pairs = [_read_text(file) for file in files]
-        return [sheet for sheet, _ in pairs], [said for _, said in pairs if said]
+        return _together([_read_text(file) for file in files])
     if not path.is_file():
         raise InputError(path, 'expected a spreadsheet or a table, found nothing')
     if path.suffix.lower() in _SPREADSHEETS:
-        return _read_spreadsheet(path), []
+        return _together(_read_spreadsheet(path))
     if path.suffix.lower() == '.xls':
         raise InputError(path, 'expected .xlsx; save the file in that format')
-    sheet, said = _read_text(path)
-    return [sheet], [said] if said else []
+    return _together([_read_text(path)])
 
 
-def _read_spreadsheet(path: Path) -> list[Sheet]:
+def _together(read: Iterable[tuple[Sheet, list[str]]]) -> tuple[list[Sheet], list[str]]:
+    pairs = list(read)
+    return [sheet for sheet, _ in pairs], [sentence for _, said in pairs for sentence in said]
+
+
+def _read_spreadsheet(path: Path) -> list[tuple[Sheet, list[str]]]:
     import openpyxl
 
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile):
-        raise InputError(path, 'expected an .xlsx spreadsheet') from None
-    try:
-        sheets = [
-            _sheet(path, page.title, list(page.iter_rows(values_only=True)))
-            for page in book.worksheets
-        ]
-    finally:
-        book.close()
-    filled = [sheet for sheet in sheets if sheet is not None]
+        try:
+            pages = [(page.title, list(page.iter_rows(values_only=True)))
+                     for page in book.worksheets]
+        finally:
+            book.close()
+    except Exception:  # a damaged file raises errors of zlib, XML and whatever it breaks
+        raise InputError(path, 'expected an .xlsx spreadsheet; the file is none or damaged'
+                         ) from None
+    filled = [read for title, rows in pages if (read := _sheet(path, title, rows)) is not None]
     if not filled:
         raise InputError(path, 'expected a sheet with a header and rows below it')
     return filled
 
 
-def _read_text(path: Path) -> tuple[Sheet, str]:
-    try:
-        lines = path.read_text(encoding='utf-8-sig').splitlines()
-    except (OSError, UnicodeDecodeError):
-        raise InputError(path, 'expected a table in text (UTF-8)') from None
+def _read_text(path: Path) -> tuple[Sheet, list[str]]:
+    text, said = _decoded(path)
+    lines = text.splitlines()
     mark = _delimiter([line for line in lines if line.strip()][:20])
-    rows: list[tuple[Any, ...]] = [
-        tuple(cell.strip().strip('"') for cell in (line.split(mark) if mark else line.split()))
-        for line in lines
-    ]
-    said = ''
-    if mark != ',' and any(_DECIMAL_COMMA.match(cell) for row in rows[:50] for cell in row):
-        rows = [tuple(_with_point(cell) for cell in row) for row in rows]
-        said = f'{path.name}: decimal commas'
-    sheet = _sheet(path, path.stem, rows)
-    if sheet is None:
+    divided = csv.reader(lines, delimiter=mark) if mark else (line.split() for line in lines)
+    try:
+        rows = [tuple(cell.strip() for cell in row) for row in divided]
+    except csv.Error as error:
+        raise InputError(path, f'expected a table in text ({error})') from None
+    read = _sheet(path, path.stem, rows)
+    if read is None:
         raise InputError(path, 'expected a header and rows below it')
-    return sheet, said
+    return read[0], [*said, *read[1]]
+
+
+def _decoded(path: Path) -> tuple[str, list[str]]:
+    """Return the text in a file, and a sentence if it is in an encoding of Windows."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f'expected a readable table ({error.strerror})') from None
+    said: list[str] = []
+    for encoding in ('utf-16',) if content[:2] in _UTF_16 else ('utf-8-sig', 'cp1252'):
+        try:
+            text = content.decode(encoding)
+        except UnicodeDecodeError:
+            said = [f'{path.name}: not in UTF-8; read as Windows-1252']
+            continue
+        if '\0' not in text:
+            return text, said
+    raise InputError(path, 'expected a table in text (UTF-8)')
 
 
 def _delimiter(lines: list[str]) -> str | None:
-    """Return the character that divides every line alike; None for blanks."""
+    """Return the character that divides most lines alike; None for blanks."""
     for mark in (';', '\t', ','):
         counts = Counter(line.count(mark) for line in lines)
         if counts and counts.most_common(1)[0][0] > 0:
@@ -225,26 +249,54 @@ def _delimiter(lines: list[str]) -> str | None:
     return None
 
 
-def _with_point(cell: str) -> str:
-    return cell.replace(',', '.') if _DECIMAL_COMMA.match(cell) else cell
+def _with_point(cell: Any) -> Any:
+    return cell.replace(',', '.') if isinstance(cell, str) and _DECIMAL_COMMA.match(cell) else cell
 
 
-def _sheet(path: Path, name: str, rows: list[tuple[Any, ...]]) -> Sheet | None:
-    """Return the table below the first row that looks like a header; None if there is none."""
+def _sheet(path: Path, name: str, rows: list[tuple[Any, ...]]) -> tuple[Sheet, list[str]] | None:
+    """Return the table below the first row that looks like a header, and sentences; or None."""
+    said: list[str] = []
+    if any(_with_point(cell) is not cell for row in rows[:_SAMPLE] for cell in row):
+        rows = [tuple(_with_point(cell) for cell in row) for row in rows]
+        said.append(f'{path.name if name == path.stem else name}: decimal commas')
     numbered = [(i, row) for i, row in enumerate(rows, 1) if any(not _blank(c) for c in row)]
-    header = next((k for k, (_, row) in enumerate(numbered) if _words(row) >= 2), None)
+    # Lines on the experiment above the table have few cells.
+    widths = sorted(map(_cells, (row for _, row in numbered[:_SAMPLE])))
+    least = max(2, widths[len(widths) // 2] / 2) if widths else 2
+    header = next((k for k, (_, row) in enumerate(numbered) if _words(row) >= least), None)
     if header is None or header + 1 == len(numbered):
         return None
     names = [str(cell).strip() if not _blank(cell) else '' for cell in numbered[header][1]]
     body = numbered[header + 1:]
     # Some programs describe their columns in further rows of words.
-    while len(body) > 1 and _words(body[0][1]) == sum(not _blank(c) for c in body[0][1]):
+    while len(body) > 1 and _words(body[0][1]) == _cells(body[0][1]):
         body = body[1:]
-    for line, row in body:
+    kept = _without_notes(body)
+    if len(kept) < len(body):
+        lines = f'line {body[-1][0]}' if len(body) == len(kept) + 1 else (
+            f'lines {body[len(kept)][0]} to {body[-1][0]}')
+        said.append(f'{name}: {lines} below the table hold notes; left out')
+    for line, row in kept:
         if any(not _blank(cell) for cell in row[len(names):]):
             raise InputError(path, f'expected {len(names)} values, found {len(row)}', line)
-    padded = [(tuple(row) + (None,) * len(names))[:len(names)] for _, row in body]
-    return Sheet(path, name, names, padded, [line for line, _ in body])
+    padded = [(tuple(row) + (None,) * len(names))[:len(names)] for _, row in kept]
+    return Sheet(path, name, names, padded, [line for line, _ in kept]), said
+
+
+def _without_notes(body: list[tuple[int, tuple[Any, ...]]]) -> list[tuple[int, tuple[Any, ...]]]:
+    """Return the numbered rows of a table without those after a blank line that hold notes."""
+    widths = sorted(_cells(row) for _, row in body)
+    least = _NOTE_CELLS * widths[len(widths) // 2]
+    end = len(body)
+    while end > 1 and _cells(body[end - 1][1]) < least:
+        end -= 1
+    gap = next((k for k in range(end, len(body)) if body[k][0] > body[k - 1][0] + 1), len(body))
+    return body[:gap]
+
+
+def _cells(row: tuple[Any, ...]) -> int:
+    """Return the number of cells of a row that are not blank."""
+    return sum(not _blank(cell) for cell in row)
 
 
 def _words(row: tuple[Any, ...]) -> int:

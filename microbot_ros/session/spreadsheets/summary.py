@@ -21,8 +21,9 @@ _AVERAGE = re.compile(r'\b(avg|average|mean|median|std|stdev|sd|sem|error|ci)\b'
 def summary_of(parts: Sequence[tuple[Sheet, list[Column]]]) -> str:
     """Return a sentence on the averages in the sheets; '' if there are none.
 
-    `parts` are the sheets with their known columns. A summary has a column of commands, such as a
-    frequency, whose values do not repeat, and columns of averages.
+    `parts` are the sheets with their known columns. A summary has neither times nor positions, but
+    a column of commands, such as a frequency, and columns of results. The commands do not repeat,
+    unless the results are named averages and a column names the robots.
 
     Parameters
     ----------
@@ -35,13 +36,19 @@ def summary_of(parts: Sequence[tuple[Sheet, list[Column]]]) -> str:
         The sentence, or ''.
     """
     for sheet, columns in parts:
+        roles = {column.role for column in columns}
         against = next((c for c in columns if c.role in ('frequency', 'bx', 'direction')), None)
-        averages = [name for name in sheet.names if _AVERAGE.search(name)]
-        if against is None or not averages or len(sheet.rows) > _MOST_ROWS:
+        if against is None or roles & {'x', 'y', 'time', 'frame'} or len(sheet.rows) > _MOST_ROWS:
             continue
+        averages = [name for name in sheet.names if _AVERAGE.search(name)]
+        results = averages or [name for k, name in enumerate(sheet.names)
+                               if name and k not in {c.index for c in columns
+                                                     if c.role not in ('speed', 'vx', 'vy')}]
         levels = sheet.witness(against.index)
-        if len(set(levels.tolist())) == len(levels):
-            return (f"a summary of {len(averages)} columns of averages against "
-                    f"'{sheet.names[against.index]}' and no recording; microbot response "
-                    '--definition tables computes such a table from recordings')
+        once = len(set(levels.tolist())) == len(levels)
+        if results and (once or (averages and 'particle' in roles)):
+            count = f'{len(results)} column{"s" * (len(results) > 1)}'
+            return (f"a summary of {count} of averages against '{sheet.names[against.index]}' and "
+                    'no recording; microbot response --definition tables computes such a table '
+                    'from recordings')
     return ''
