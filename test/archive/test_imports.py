@@ -18,6 +18,7 @@ from microbot_ros.archive.imports import imported
 from microbot_ros.archive.labels import labels_of, own_answers, stated
 from microbot_ros.archive.quantities import of_sessions, unlike_the_others
 from microbot_ros.archive.recordings import Found
+from microbot_ros.archive.recurring import Recurring
 from microbot_ros.archive.report import draw_quantities, page
 from microbot_ros.common.errors import InputError
 from microbot_ros.session import read_session
@@ -189,3 +190,19 @@ def test_the_page_compares_kinds_each_with_its_own(tmp_path):
              if isinstance(band, PolyCollection)]
     assert [(round(one.x0, 1), round(one.x1, 1)) for one in bands] == [
         (0.6, 3.4), (3.6, 6.4), (6.6, 7.4)]
+
+
+def test_the_page_gives_the_parameters_of_an_effect_for_each_kind(tmp_path):
+    value, error = np.array([0.10, 0.11, 0.10, 0.14, 0.15, 0.14]), np.full(6, 0.01)
+    rows = [{'session': f's{k}', 'particle_kind': 'dimers' if k < 3 else 'spheres'}
+            for k in range(6)]
+    known = of_sessions('command_delay.delay_s', rows, value, error)
+    effect = Recurring('command_delay', {f's{k}': 1.0 for k in range(6)}, (),
+                       {'delay_s': known.spread}, {})
+    assert replace(effect, probability={'s0': 1.0}).sentence() == \
+        'command_delay in the only session.'
+    found = replace(conclude(Archive(tmp_path)), effects=[effect],
+                    parameters={'command_delay': [known]})
+    text = ' '.join(re.sub(r'<[^>]+>', ' ', page(Archive(tmp_path), found)).split())
+    assert re.search(r'delay \(s\) 0\.12\d? .* delay of dimers 0\.10\d? .* delay of spheres 0\.14',
+                     text)
