@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from microbot_ros.cockpit.rig import Answer, RefusedError
+from microbot_ros.common import units
 from microbot_ros.common.ending import PARENT
 from microbot_ros.common.errors import clipped, one_line
 
@@ -223,9 +224,17 @@ def summary(result: dict[str, Any]) -> dict[str, Any]:
     experiments = result.get('experiments') or [{}]
     return {
         'verdict': result.get('verdict'), 'decided': result.get('decided'),
-        'effect': effects[0].get('id'),
+        'effect': effects[0].get('id'), 'sizes': _sizes(effects[0].get('parameters') or {}),
         'gap_um': gap.get('after_um', gap.get('before_um')),
         'odds': experiments[-1].get('odds', {}), 'minutes': result.get('minutes'),
         'next': result.get('next_experiment'),
         'learned': [{'sentence': one.get('sentence'), 'arrows': one.get('arrows') or []}
                     for one in result.get('learned') or []]}
+
+
+def _sizes(parameters: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the parameters of an effect, with half their 95 % intervals, in their units."""
+    return [{'name': name.removesuffix(units.suffix(name)), 'unit': units.symbol(name),
+             'value': found['value'], 'half': (found['high_95'] - found['low_95']) / 2
+             if None not in (found['high_95'], found['low_95']) else None}
+            for name, found in parameters.items()]

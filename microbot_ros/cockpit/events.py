@@ -87,7 +87,8 @@ class Events:
         for node in state.get('health') or []:
             self._see_node(node['name'], node['level'], node['sentence'])
         controller, recording = state.get('controller') or {}, state.get('recording') or {}
-        self._see_change('controller', controller.get('name'), 'controller', '{} drives')
+        self._see_change('controller', (controller.get('name') or '').replace('_', ' ') or None,
+                         'controller', '{} drives')
         self._see_change('recorder', recording.get('on'), 'recorder', {
             True: 'Recording began', False: 'Recording ended'})
         discovery = state.get('discovery') or {}

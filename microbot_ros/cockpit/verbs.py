@@ -243,11 +243,12 @@ def told(verb: Order) -> str:
         case Path():
             return f'Path through {len(verb.points_um)} points'
         case SwitchController():
-            return f'Switch to {verb.name}'
+            return f'Switch to {verb.name.replace("_", " ")}'
         case Set():
             return f'Set {verb.name} to {verb.value}'
         case Teach():
-            return f'Teach {verb.example} at {verb.x_px:.0f}, {verb.y_px:.0f} px'
+            not_ = '' if verb.example == 'like' else 'not '
+            return f'Teach: {not_}this at {verb.x_px:.0f}, {verb.y_px:.0f} px'
         case Record():
             title = f' “{one_line(verb.title)}”' if verb.title and verb.on else ''
             return f'Record{title}' if verb.on else 'Stop recording'

@@ -22,7 +22,9 @@ pytestmark = pytest.mark.rig
 
 RESULT = {
     'verdict': 'named', 'decided': 'settled', 'minutes': 6.1,
-    'effects': [{'id': 'alignment_lag'}, {'id': 'uniform_drift'}],
+    'effects': [{'id': 'alignment_lag', 'parameters': {
+        'tau_s': {'value': 0.3, 'std': 0.01, 'low_95': 0.28, 'high_95': 0.32}}},
+                {'id': 'uniform_drift'}],
     'gap': {'before_um': 0.38, 'after_um': 0.11}, 'next_experiment': 'repeat at two magnitudes',
     'experiments': [{'odds': {'': 0.5}}, {'odds': {'alignment_lag': 0.92}}],
     'learned': [{'against': 'position', 'sentence': 'A swirl.',
@@ -130,6 +132,7 @@ def test_its_end_is_what_result_json_says(stand_in: Any, tmp_path: Path) -> None
         'running': False, 'left_s': None, 'of_s': 360.0, 'folder': state['folder'], 'report': None,
         'sentence': state['sentence'], 'verdict': 'named', 'decided': 'settled',
         'effect': 'alignment_lag', 'gap_um': 0.11, 'odds': {'alignment_lag': 0.92},
+        'sizes': [{'name': 'tau', 'unit': 's', 'value': 0.3, 'half': pytest.approx(0.02)}],
         'minutes': 6.1, 'next': 'repeat at two magnitudes',
         'learned': [{'sentence': 'A swirl.', 'arrows': [[1.0, 2.0, 0.5, -0.5]]}]}
     assert 'discover --drive --minutes 6' in state['sentence']
@@ -220,4 +223,5 @@ while True:
 def test_a_result_of_little_is_shown(result: dict[str, Any]) -> None:
     found = summary(result)
     assert found['effect'] is None
+    assert found['sizes'] == []
     assert found['odds'] == {}

@@ -1,9 +1,9 @@
 // The search for what the model lacks: what it found, how sure it is, what it does next.
 
-import { byId, keyed, make, setText } from './dom.js';
+import { byId, keyed, make, setText, words } from './dom.js';
 import { readings } from './estimates.js';
 import { order } from './messages.js';
-import { clock, known, withUnit } from './numbers.js';
+import { clock, known, measured, withUnit } from './numbers.js';
 
 const VERDICTS = {
   consistent: 'Consistent: no effect was found.', named: 'Named.', unnamed: 'Unnamed: an effect is missing that is not in the library.',
@@ -28,7 +28,8 @@ export function discoveryPanel(link) {
 function show(now) {
   byId('verdict').dataset.verdict = now.verdict ?? '';
   setText(byId('verdict'), headline(now));
-  readings(byId('findings'), [['effect', words(now.effect)], ['gap', withUnit(now.gap_um, 3, 'µm')],
+  const sizes = (now.sizes ?? []).map(({ name, value, half, unit }) => [`${words(name)}, 95 %`, measured(value, half, unit)]);
+  readings(byId('findings'), [['effect', words(now.effect)], ...sizes, ['gap', withUnit(now.gap_um, 3, 'µm')],
     ['decided', words(now.decided)], ['time', withUnit(now.minutes, 1, 'min')]]);
   const odds = Object.entries(now.odds ?? {}).filter(([, share]) => known(share))
     .sort(([, a], [, b]) => b - a).slice(0, 6);
@@ -43,7 +44,7 @@ function show(now) {
 function where({ running, left_s, of_s, folder, report }) {
   byId('discover-progress').hidden = !running;
   byId('discover-progress').value = running ? 1 - left_s / of_s : 0;
-  const text = `${running ? `At most ${clock(left_s)} left. ` : ''}${folder ? `Results in ${folder}. ` : ''}`;
+  const text = `${running ? left_s ? `At most ${clock(left_s)} left. ` : 'Evaluating. ' : ''}${folder ? `Results in ${folder}. ` : ''}`;
   keyed(byId('discover-where'), [text + report], String, () => make('span', {}, text, ...(report
     ? [make('a', { href: report, target: '_blank', rel: 'noopener' }, 'Open the report')] : [])));
 }
@@ -57,5 +58,3 @@ function oddsRow([name]) {
   return make('div', { class: 'odds' }, make('span', {}, words(name || 'no effect')),
     make('meter', { min: 0, max: 1, 'aria-label': `odds of ${words(name || 'no effect')}` }), make('span', { class: 'number' }));
 }
-
-const words = (id) => (id ? String(id).replaceAll('_', ' ') : '–');

@@ -21,6 +21,8 @@ export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
+export const words = (name) => (name ? String(name).replaceAll('_', ' ') : '–');
+
 // One child for each item of `items`, in their order, kept by its key: `create(item)` makes,
 // `update(node, item)` fills it in. Nodes of keys that are gone are removed.
 export function keyed(parent, items, keyOf, create, update = () => {}) {

@@ -1,6 +1,6 @@
 // The controller: which one, and its parameters as their descriptors say.
 
-import { byId, keyed, make, offer, setText } from './dom.js';
+import { byId, keyed, make, offer, setText, words } from './dom.js';
 import { order } from './messages.js';
 import { fixed, known } from './numbers.js';
 
@@ -13,29 +13,29 @@ export class Drive {
     byId('controller-form').onsubmit = (event) => {
       event.preventDefault();
       const name = byId('controller').value;
-      order(link, `Switch to ${name}`, 'switch_controller', { name });
+      order(link, `Switch to ${words(name)}`, 'switch_controller', { name });
     };
-    link.on('state', ({ controller }) => this.#hear(controller));
+    link.on('state', ({ controller, rig }) => this.#hear(controller, rig === 'armed'));
   }
 
-  #hear(controller) {
+  #hear(controller, armed) {
     if (!controller) return;
     const { name, available, parameters, takes } = controller;
     const summaries = new Map((available ?? []).map((one) => [one.name, one.summary]));
-    offer(byId('controller'), [...summaries.keys()], (one) => `${summaries.get(one).replace(/\.$/, '')}: ${one.replaceAll('_', ' ')}`);
+    offer(byId('controller'), [...summaries.keys()], (one) => `${summaries.get(one).replace(/\.$/, '')}: ${words(one)}`);
     if (name !== this.name) {
       this.name = name;
       byId('controller').value = name;
     }
     setText(byId('controller-about'), byId('controller').value === name ? '' : summaries.get(byId('controller').value) ?? '');
     setText(byId('controller-now'),
-      name ? `At work: ${name.replaceAll('_', ' ')}. ${summaries.get(name) ?? ''}` : 'No controller has reported yet.');
+      name ? `At work: ${words(name)}. ${summaries.get(name) ?? ''}` : 'No controller has reported yet.');
     setText(byId('stick-hint'), takes?.includes('joystick')
       ? 'Drag, or focus it and hold arrow keys or W A S D. A gamepad’s left stick steers too, its buttons stop. Let go, and the field goes to zero.'
       : 'This controller does not use the stick: switch to teleop first.');
-    const { distance_um, done, driven, sentence } = controller;
-    setText(byId('going'), [driven?.length && `Drives particle ${driven.join(', ')}.`, done ? 'Arrived.' : known(distance_um) && `${fixed(distance_um, 1)} µm to go.`,
-      sentence && `Status: ${sentence}.`].filter(Boolean).join(' '));
+    const { distance_um, done, driven, goal, sentence } = controller;
+    const left = armed && known(distance_um) ? `${fixed(distance_um, 1)} µm to ${goal == null ? 'go' : `goal ${goal + 1}`}.` : sentence && `Status: ${sentence}.`;
+    setText(byId('going'), [driven?.length && `Drives particle ${driven.join(', ')}.`, done ? 'Arrived.' : left].filter(Boolean).join(' '));
     const all = (parameters ?? []).toSorted((a, b) => Boolean(a.read_only) - Boolean(b.read_only));
     const basic = (one) => !one.read_only && one.name.startsWith(`${name}.`);
     for (const [place, rows] of [['parameters', all.filter(basic)], ['parameters-all', all.filter((one) => !basic(one))]]) {
@@ -70,10 +70,10 @@ export class Drive {
 
 // 'waypoint.stop_within_um' in µm is 'stop within [µm]'.
 function label({ name, unit }) {
-  const words = name.slice(name.lastIndexOf('.') + 1);
-  if (!unit) return words.replaceAll('_', ' ');
+  const last = name.slice(name.lastIndexOf('.') + 1);
+  if (!unit) return words(last);
   const spelt = unit.replace('µ', 'u').replace('°', 'deg').replace('²', '2').replace(/[/·\s]+/g, '_(per_)?');
-  return `${words.replace(new RegExp(`_${spelt}$`, 'i'), '').replaceAll('_', ' ')} [${unit}]`;
+  return `${words(last.replace(new RegExp(`_${spelt}$`, 'i'), ''))} [${unit}]`;
 }
 
 function field({ type, minimum, maximum, choices }) {

@@ -1,6 +1,6 @@
 // What a click, a stroke or a key on the picture does: choose, set a goal, draw a path, teach.
 
-import { byId, make, setText } from './dom.js';
+import { byId, make, setText, words } from './dom.js';
 import { order, say } from './messages.js';
 
 const MODES = {
@@ -31,10 +31,10 @@ export class Pointing {
   }
 
   #listModes() {
-    byId('modes').append(...Object.entries(MODES).map(([mode, [words]]) => {
+    byId('modes').append(...Object.entries(MODES).map(([mode, [label]]) => {
       const input = make('input', { type: 'radio', name: 'mode', value: mode });
       input.onchange = () => this.#enter(mode);
-      return make('label', {}, input, make('span', {}, words));
+      return make('label', {}, input, make('span', {}, label));
     }));
   }
 
@@ -58,7 +58,7 @@ export class Pointing {
   #offer({ takes, available }) {
     const [what, name] = NEEDS[this.mode] ?? [];
     byId('let-drive').hidden = !name || !takes || takes.includes(what) || !available.some((one) => one.name === name);
-    setText(byId('let-drive'), `Let ${name?.replaceAll('_', ' ')} drive`);
+    setText(byId('let-drive'), `Let ${words(name)} drive`);
   }
 
   #enter(mode) {

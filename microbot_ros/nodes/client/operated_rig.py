@@ -234,7 +234,7 @@ class OperatedRig(RigView):
     async def _hand_over(self, steps: Steps[Taken]) -> Answer:
         """Send one input after the other: the controller reports only the last one."""
         async with self._handing_over:
-            return f'{(await self._perform(steps)).controller} has it'
+            return f'{(await self._perform(steps)).controller.replace("_", " ")} has it'
 
     async def _send_there(self, steps: Steps[Taken]) -> Answer:
         taken = await self._hand_over(steps)
@@ -254,7 +254,7 @@ class OperatedRig(RigView):
             Answer for the page.
         """
         await self._perform(self._client.switch(name))
-        return f'{name} drives'
+        return f'{name.replace("_", " ")} drives'
 
     async def set(self, name: str, value: Any) -> Answer:
         """Change a parameter of the controller that the page has received.

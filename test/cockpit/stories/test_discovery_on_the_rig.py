@@ -46,3 +46,19 @@ def test_a_hidden_lag_is_found(browser: Any, tmp_path: Path) -> None:
             found['gap']['after_um'], abs=1e-3)
         likeliest = max(found['experiments'][-1]['odds'].items(), key=lambda one: one[1])[0]
         assert page.inner_text('#odds .odds span').strip() == likeliest.replace('_', ' ')
+        _read_the_report(page)
+
+
+def _read_the_report(page: Any) -> None:
+    """By the page's link: its words are there, styled, and every picture."""
+    complaints: list[str] = []
+    page.context.on('console', lambda said: complaints.append(said.text)
+                    if said.type == 'error' else None)
+    with page.expect_popup() as opened:
+        page.click('#discover-where a')
+    report = opened.value
+    report.wait_for_load_state()
+    assert 'alignment lag' in report.inner_text('body')
+    assert report.locator('img').count() > 0
+    assert report.evaluate('[...document.images].every((one) => one.naturalWidth > 0)')
+    assert complaints == []

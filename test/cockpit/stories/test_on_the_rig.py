@@ -226,6 +226,24 @@ def test_a_path_arrives_as_it_was_drawn_and_is_shown_once_it_was_taken(page, lis
     page.wait_for_selector('#overlay .path polyline[points=""]', state='attached')
 
 
+def test_a_goal_takes_the_place_of_a_path_and_a_path_that_of_a_goal(page) -> None:
+    """And while the rig is disarmed each says that nothing moves yet."""
+    for name in ('path_following', 'waypoint', 'path_following'):
+        switch(page, name)
+        if name == 'waypoint':
+            mode(page, 'goal')
+            page.mouse.click(*on_page(page, 400, 150))
+            page.wait_for_selector('#messages li.ok:has-text("not armed: nothing moves")')
+            page.wait_for_selector('#overlay .goals g', state='attached')
+            page.wait_for_selector('#overlay .path polyline[points=""]', state='attached')
+        else:
+            mode(page, 'path')
+            draw(page, [on_page(page, 200 + 20 * k, 240) for k in range(10)])
+            page.wait_for_selector('#messages li.ok:has-text("not armed: nothing moves")')
+            page.wait_for_selector('#overlay .path polyline[points*=" "]', state='attached')
+            page.wait_for_selector('#overlay .goals:not(:has(g))', state='attached')
+
+
 def test_goals_from_before_the_page_are_shown(visit, listener) -> None:
     """Whoever sent them, and however."""
     from geometry_msgs.msg import PoseStamped
