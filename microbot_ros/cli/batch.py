@@ -82,7 +82,7 @@ def _track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_pa
 
     tracker = read_yaml(settings_path, TrackerSettings) if settings_path else TrackerSettings()
     _run('track', {'pixel_size_um': pixel_size_um, 'frame_rate_hz': frame_rate_hz,
-                   'tracker': tracker.model_dump(mode='json', exclude_unset=True)}, **common)
+                   'tracker': tracker.content('given')}, **common)
 
 
 @command.command('fit')
