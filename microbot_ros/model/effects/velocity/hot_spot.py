@@ -112,8 +112,13 @@ class HotSpot(Effect):
 
 
 def _step(recorded: Recorded) -> float:
-    """Return the median distance between two frames [m]."""
+    """Return the distance between two frames [m]: half of the way is made in longer steps.
+
+    A particle that rests for most of a recording makes its way in few steps.
+    """
     if recorded.positions is None:
         return 0.0
     steps = np.hypot(*np.moveaxis(np.diff(recorded.positions, axis=0), -1, 0))
-    return float(np.median(steps[np.isfinite(steps)])) if np.isfinite(steps).any() else 0.0
+    steps = np.sort(steps[np.isfinite(steps)])
+    way = np.cumsum(steps)
+    return float(steps[np.searchsorted(way, way[-1] / 2)]) if len(steps) else 0.0
