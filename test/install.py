@@ -7,6 +7,7 @@ packages of each.
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
 import tempfile
@@ -31,24 +32,31 @@ def sizes(folder: Path) -> Counter[str]:
                     for one in distributions(path=[str(site)])})
 
 
-def install(folder: Path, extras: str) -> tuple[float, Counter[str]]:
-    """Install the package with `extras` in `folder`; the time [s] and the sizes [bytes]."""
+def processor_time() -> float:
+    """Return the processor time [s] of all ended children."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def install(folder: Path, extras: str) -> tuple[float, float, Counter[str]]:
+    """Install the package with `extras`; time, processor time [s] and sizes [bytes]."""
     venv.create(folder, with_pip=True)
     before = sizes(folder)
-    begin = time.perf_counter()
+    begin, used = time.perf_counter(), processor_time()
     subprocess.run([folder / 'bin' / 'pip', 'install', '--quiet', '--disable-pip-version-check',
                     '--constraint', ROOT / 'constraints.txt', f'{ROOT}{extras}'], check=True)
-    return time.perf_counter() - begin, sizes(folder) - before
+    return (time.perf_counter() - begin, processor_time() - used, sizes(folder) - before)
 
 
 def main() -> None:
     """Print a line for each installation."""
     for extras in EXTRAS:
         with tempfile.TemporaryDirectory() as folder:
-            seconds, found = install(Path(folder), extras)
+            seconds, processor, found = install(Path(folder), extras)
         largest = ', '.join(f'{name} {size / 1e6:.0f}'
                             for name, size in found.most_common(_LARGEST))
-        print(f'microbot_ros{extras}: {seconds:.0f} s, {found.total() / 1e6:.0f} MB, '
+        print(f'microbot_ros{extras}: {seconds:.0f} s ({processor:.0f} of the processor), '
+              f'{found.total() / 1e6:.0f} MB, '
               f'{len(found)} packages; {largest}', flush=True)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -145,8 +144,6 @@ def _answered(given: dict[str, Any]) -> dict[str, Any]:
 def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: Path,
          workers: int | None, scheduler: str | None, json_path: Path | None) -> None:
     """Run a task with progress and print the results."""
-    # One thread per process; OpenBLAS reads this when it is loaded.
-    os.environ.setdefault('OMP_NUM_THREADS', '1')
     from rich.console import Console
 
     from microbot_ros.archive import run_batch

@@ -168,11 +168,7 @@ class Settings:
         for name, field in fields.items():
             if name in given:
                 value = _field(name, hints[name], field, given[name])
-            elif field.default is not dataclasses.MISSING:
-                value = field.default
-            elif field.default_factory is not dataclasses.MISSING:
-                value = field.default_factory()
-            else:
+            elif (value := _default(field)) is dataclasses.MISSING:
                 raise SettingsError("expected a key '{key}'", name)
             object.__setattr__(self, name, value)
         object.__setattr__(self, 'given', frozenset(given.keys() & fields.keys()))
@@ -257,7 +253,7 @@ class Settings:
             value = getattr(self, name)
             return (name in self.given if which == 'given' else
                     value is not None if which == 'not none' else
-                    which == 'all' or value != fields[name].default)
+                    which == 'all' or value != _default(fields[name]))
         return {name: _plain(getattr(self, name), which) for name in fields if kept(name)}
 
 
@@ -406,6 +402,13 @@ def _field(name: str, kind: Any, field: dataclasses.Field[Any], given: Any) -> A
     except ValueError as error:
         raise _unfit(error, given).below(name) from error
     return value
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    """Return the default of a field, MISSING if it has none."""
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return field.default
 
 
 def _unfit(error: ValueError, received: Any) -> SettingsError:
