@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 WORKERS := $(shell expr $$(nproc) + 1)
 MEASURED := --cov microbot_ros --cov-report term:skip-covered --cov-report json:out/coverage.json
 
-.PHONY: setup demo test test-rig soak coverage compiled bench foreign docs lowest lint clean
+.PHONY: setup demo test logic test-rig soak coverage compiled bench foreign docs lowest sizes lint clean
 
 # The first of these that is Python 3.12 or 3.11 and can make environments.
 PYTHON := $(shell for p in python3.12 python3.11 python3; do \
@@ -36,9 +36,12 @@ $(VENV)/.development: $(VENV)/.runtime
 demo: $(VENV)/.runtime
 	@$(BIN)/microbot demo --out out/demo
 
-# All logic, in process: `make test COVERAGE=1` also prints the line coverage.
-test: $(VENV)/.development
-	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint compiled
+# All logic, in process: `make test COVERAGE=1` also prints the line coverage. The lint, a process
+# of 30 s, runs beside it; what it finds is printed at once, and that it failed at the end.
+test: compiled
+	@$(MAKE) --no-print-directory --jobs 2 lint logic
+
+logic: $(VENV)/.development
 	@$(BIN)/python -m pytest -m 'not rig and not soak' --numprocesses $(WORKERS) --dist loadfile \
 		$(if $(COVERAGE),$(MEASURED))
 
@@ -94,6 +97,10 @@ docs: $(VENV)/.development
 # The tests of the core in an environment of its own, with the oldest libraries that setup.py allows.
 lowest:
 	@$(PYTHON) test/lowest.py out/lowest
+
+# Time and size of pip install: the core, with ROS, with all extras.
+sizes: $(VENV)/.runtime
+	@$(BIN)/python test/install.py
 
 clean:
 	rm -rf $(VENV) out build install log .mypy_cache .ruff_cache *.egg-info

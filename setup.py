@@ -70,7 +70,7 @@ setup(
     # `make lowest` runs the tests of the core with.
     install_requires=[
         'click>=8.1', 'numba>=0.59', 'numpy>=1.26', 'opencv-python-headless>=4.6',
-        'pydantic>=2.5', 'pyserial>=3.5', 'pyyaml>=6.0.1', 'scipy>=1.12',
+        'pyserial>=3.5', 'pyyaml>=6.0.1', 'scipy>=1.11',
     ],
     extras_require={
         'ros': ros_from_pypi, **features, **special, 'all': everything,

@@ -1,6 +1,7 @@
 """HOTA and IDF1 of tracks by TrackEval, beside those of trackpy and laptrack.
 
-TrackEval, laptrack and scikit-image are extras of these figures alone.
+TrackEval, laptrack and scikit-image are extras of these figures alone, in an environment
+of their own: TrackEval brings opencv-python, which overwrites the headless build.
 """
 
 from __future__ import annotations

@@ -170,9 +170,9 @@ def _simulated_figures() -> list[Figure]:
     for pictures, name, least in ((True, 'rendered 640×480', 5.0), (False, 'poses alone', 200.0)):
         scenario, particles = read_scenario(_SCENARIO)
         assert scenario.controller is not None
-        wanted = scenario.controller.model_copy(update={'pictures': pictures})
-        scenario = scenario.model_copy(update={'controller': wanted})
-        simulation.run(scenario.model_copy(update={'duration_s': 1.0}), particles, name)
+        wanted = scenario.controller.replaced(pictures=pictures)
+        scenario = scenario.replaced(controller=wanted)
+        simulation.run(scenario.replaced(duration_s=1.0), particles, name)
         begin = time.perf_counter()
         simulation.run(scenario, particles, name)
         speed = scenario.duration_s / (time.perf_counter() - begin)

@@ -32,13 +32,13 @@ def figures() -> list[Figure]:
 
 def _uneven_rig() -> CoilSettings:
     rng = np.random.default_rng(0)
-    content = CoilSettings().model_dump(exclude_none=True)
+    content = CoilSettings().content('not none')
     for winding in content['windings']:
         winding.update(
             gain=rng.uniform(0.8, 1.1), max_current_A=rng.uniform(1.5, 2.5),
             position_mm=winding['position_mm'] + rng.normal(0, 0.5, 3),
             axis=winding['axis'] + rng.normal(0, 0.03, 3))
-    return CoilSettings.model_validate({**content, 'background_mT': (0.02, -0.045)})
+    return CoilSettings.from_content({**content, 'background_mT': (0.02, -0.045)})
 
 
 def _magpylib(settings: CoilSettings) -> list[magpylib.current.Circle]:
@@ -61,8 +61,8 @@ def _around(count: int) -> CoilSettings:
     z, angle = 1 - 2 * steps / count, np.pi * (1 + math.sqrt(5)) * steps
     radius = np.sqrt(1 - z * z)
     axes = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-    winding = CoilSettings().windings[0].model_dump(exclude_none=True)
-    return CoilSettings.model_validate({'axes': 'xyz', 'windings': [
+    winding = CoilSettings().windings[0].content('not none')
+    return CoilSettings.from_content({'axes': 'xyz', 'windings': [
         {**winding, 'name': f'coil_{k}', 'position_mm': 45 * axis, 'axis': axis}
         for k, axis in enumerate(axes)]})
 

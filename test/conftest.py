@@ -41,8 +41,6 @@ os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ['XDG_STATE_HOME'] = tempfile.mkdtemp(prefix='microbot_state_')
 atexit.register(shutil.rmtree, os.environ['XDG_STATE_HOME'], ignore_errors=True)
 os.environ.setdefault('MPLBACKEND', 'Agg')
-# As `microbot discover` does: several threads for matrices of a hundred rows make only heat.
-os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 # `nohup` ignores SIGHUP, and a script SIGINT for what it runs in the background. Children inherit
 # what is ignored, but no handler.

@@ -9,6 +9,7 @@ rooms below the nodes, without a ROS graph. It ends as pytest does.
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import subprocess
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
+RESULT = 'result.json'
 ROOMS = ('model', 'magnetics', 'estimation', 'tracking', 'session', 'control', 'drive', 'loop',
          'virtual_rig', 'discovery', 'cameras', 'cli')
 # ROS is of one version; what only the tests need may be of any.
@@ -67,12 +69,22 @@ def main(folder: Path) -> int:
     environment = {name: value for name, value in os.environ.items()
                    # Without CI what needs an extra may be skipped.
                    if name not in ('LD_LIBRARY_PATH', '_ROS_WHEELS_BOOTSTRAP_COMPLETE', 'CI')}
-    return subprocess.run(
+    status = subprocess.run(
         [python, '-m', 'pytest', '-m', 'not rig and not soak',
          *(f'test/{room}' for room in ROOMS)],
         cwd=ROOT, check=False, env={**environment, 'PYTHONPATH': str(ROOT),
                                     # Two versions of numba would take it from each other.
                                     'NUMBA_CACHE_DIR': str(folder / 'compiled')}).returncode
+    (folder / RESULT).write_text(json.dumps({'commit': commit(), 'status': status}))
+    return status
+
+
+def commit() -> str:
+    """Return the present commit; '' where the sources are not in git or are changed."""
+    def git(*words: str) -> str:
+        return subprocess.run(['git', *words], cwd=ROOT, check=False, capture_output=True,
+                              text=True).stdout.strip()
+    return '' if git('status', '--porcelain') else git('rev-parse', 'HEAD')
 
 
 if __name__ == '__main__':

@@ -14,10 +14,17 @@ from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
+import lowest
+
 ROOT = Path(__file__).parents[1]
 CRITERIA = ROOT / 'docs' / 'explanation' / 'version_1.md'
 Finding = tuple[bool | None, str]
 """Whether it holds, None where a program cannot tell; and what was found, or who decides."""
+
+
+def git(*words: str) -> str:
+    """Return what git prints."""
+    return subprocess.run(['git', *words], cwd=ROOT, capture_output=True, text=True).stdout
 
 
 def criteria() -> list[str]:
@@ -44,8 +51,6 @@ def changelog(wanted: str) -> Finding:
 
 def repository(wanted: str) -> Finding:
     """Whether all is committed and the tag of the version `wanted` is free."""
-    def git(*words: str) -> str:
-        return subprocess.run(['git', *words], cwd=ROOT, capture_output=True, text=True).stdout
     changed, tags = git('status', '--porcelain').splitlines(), git('tag').split()
     return not changed and wanted not in tags, (
         f'{len(changed)} files not committed; tag {wanted} is '
@@ -62,6 +67,32 @@ def wrong_names(_: str) -> Finding:
     return (all(one['ok'] for one in figures) if figures else None,
             '; '.join(f'{one["name"]}: {one["value"]}' for one in figures)
             or 'make bench ONLY=judge CASES=300 decides; out/bench.json is of other groups')
+
+
+def oldest_libraries(_: str) -> Finding:
+    """Whether `make lowest` passed on the present commit."""
+    file = ROOT / 'out' / 'lowest' / lowest.RESULT
+    if not file.is_file():
+        return None, 'make lowest decides; it has not run here'
+    found = json.loads(file.read_text())
+    if not found['commit'] or found['commit'] != lowest.commit():
+        return None, 'make lowest decides; it ran on other sources'
+    return found['status'] == 0, f'make lowest ended with {found["status"]} on this commit'
+
+
+def names(_: str) -> Finding:
+    """Whether the reference still has every name of the last release."""
+    tags = git('tag', '--sort=-creatordate').split()
+    if not tags:
+        return None, 'no release yet: decided from the second one on'
+    lost = {f'{page.name}: {name}' for page in sorted((ROOT / 'docs/reference').glob('*.md'))
+            for name in (_first_column(git('show', f'{tags[0]}:docs/reference/{page.name}'))
+                         - _first_column(page.read_text(encoding='utf-8')))}
+    return not lost, f'missing since {tags[0]}: {", ".join(sorted(lost)) or "none"}'
+
+
+def _first_column(page: str) -> set[str]:
+    return set(re.findall(r'^\| `([^`]+)`', page, re.MULTILINE))
 
 
 def documents(_: str) -> Finding:
@@ -81,9 +112,9 @@ CHECKS: dict[str, Callable[[str], Finding]] = {
     'A group that': decided_by('a person: a report of another group with its recordings'),
     'Currents end': decided_by('a person: docs/explanation/safety_evidence.md on each amplifier'),
     '`colcon build`': decided_by('the job ros of .github/workflows/checks.yml'),
-    'Names and files': decided_by('a person: docs/reference against that of the release before'),
+    'Names and files': names,
     'No wrong name': wrong_names,
-    'The oldest': decided_by('make lowest'),
+    'The oldest': oldest_libraries,
     'Documents': documents}
 """Beginning of a criterion → what evaluates it."""
 

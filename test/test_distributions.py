@@ -22,7 +22,7 @@ pytestmark = pytest.mark.rig
 
 ROOT = Path(__file__).parents[1]
 SHARED = f'microbot_ros-{microbot_ros.__version__}.data/data/share/microbot_ros'
-HEAVY = {'av', 'cv2', 'dask', 'gymnasium', 'matplotlib', 'numba', 'numpy', 'osqp', 'pydantic',
+HEAVY = {'av', 'cv2', 'dask', 'gymnasium', 'matplotlib', 'numba', 'numpy', 'osqp',
          'rclpy', 'rosbags', 'scipy', 'starlette', 'yaml'}
 
 

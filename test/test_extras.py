@@ -10,6 +10,7 @@ from pathlib import Path
 
 import lowest
 import pytest
+import warm
 
 from microbot_ros.common.extras import EXTRAS, advice
 from microbot_ros.nodes.client.graph import READY
@@ -30,6 +31,24 @@ def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     words = [sys.executable, '-c', WITHOUT + code, *arguments]
     return subprocess.run(words, cwd=ROOT, timeout=100,
                           env=dict(os.environ), capture_output=True, text=True)
+
+
+def test_matrices_are_solved_by_one_thread() -> None:
+    """Several take four times the processor time for those of this package."""
+    assert not warm.LATE, 'a plugin of pytest imports numpy: add -p no:PLUGIN to pyproject.toml'
+    code = """if True:
+        import os, sys
+        from microbot_ros import cli
+        assert 'numpy' not in sys.modules
+        sys.argv[1:] = ['discover', '--help']
+        try:
+            cli.main()
+        finally:
+            print(os.environ['OMP_NUM_THREADS'])"""
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True,
+        env={name: value for name, value in os.environ.items() if name != 'OMP_NUM_THREADS'})
+    assert done.stdout.splitlines()[-1] == '1', done.stderr
 
 
 def test_every_library_of_an_extra_is_named() -> None:

@@ -13,11 +13,10 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
-
-import pydantic
+from typing import Annotated, Any
 
 from microbot_ros.archive.recordings import LABELS, Found
+from microbot_ros.common.checked import Field
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import read_yaml
 from microbot_ros.session.mcap.recording import open_recording
@@ -29,37 +28,23 @@ _SINCE_NS = 946_684_800_000_000_000
 """Time [ns since 1970] of the year 2000, before which no recording was made: its clock was not
 set."""
 
+_Name = Annotated[str, lambda value: str(value) if isinstance(value, int | float) else value]
+"""A name, which may be a number."""
+
 
 class Statement(Stated):
     """Statement of an `archive.yaml` on recordings; everything is optional."""
 
-    rig: str | None = None
-    batch: str | None = None
-    kind: str | None = None
+    rig: _Name | None = None
+    batch: _Name | None = None
+    kind: _Name | None = None
     recorded: datetime.date | None = None
-
-    @pydantic.field_validator('rig', 'batch', 'kind', mode='before')
-    @classmethod
-    def as_text(cls, value: object) -> object:
-        """Convert a number to text, as names may be numbers.
-
-        Parameters
-        ----------
-        value : object
-            Value in the file.
-
-        Returns
-        -------
-        object
-            The text, or the value unchanged.
-        """
-        return str(value) if isinstance(value, int | float) else value
 
 
 class LabelFile(Statement):
     """An `archive.yaml`: a statement for its folder, and more under `files` by path or glob."""
 
-    files: dict[str, Statement] = pydantic.Field(default_factory=dict)
+    files: dict[str, Statement] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -135,7 +120,7 @@ def stated(found: Found) -> dict[str, Any]:
     """
     known: dict[str, Any] = {}
     for statement in _statements(found):
-        for key in statement.model_fields_set - {'files'}:
+        for key in statement.given - {'files'}:
             if getattr(statement, key) is not None:
                 known.setdefault(key, getattr(statement, key))
     return known
@@ -156,7 +141,7 @@ def own_answers(found: Found, general: dict[str, Any]) -> dict[str, Any]:
     dict of str to object
         `Answers` as a dictionary.
     """
-    said = {key: value for key, value in stated(found).items() if key in Stated.model_fields}
+    said = {key: value for key, value in stated(found).items() if key in Stated.names()}
     own, unsaid = asdict(Stated(**said).answers()), asdict(Answers())
     return general | {key: value for key, value in own.items() if value != unsaid[key]}
 

@@ -72,17 +72,27 @@ class Quantity:
         list of Quantity
             One quantity per kind.
         """
-        kinds = self.groups['particle_kind']
-        if not kinds:
+        if not self.groups['particle_kind']:
             return [self]
+        return [self._only(of, kind) for kind, of in self.kinds()]
+
+    def kinds(self) -> list[tuple[str, list[int]]]:
+        """Return the kinds of particles with the indices of their sessions.
+
+        Returns
+        -------
+        list of tuple[str, list of int]
+            '' is the kind of sessions without one.
+        """
+        kinds = self.groups['particle_kind']
         known = {k for of in kinds.values() for k in of}
         rest = [k for k in range(len(self.value)) if k not in known]
-        return [self._only(of, kind) for kind, of in [*kinds.items(), ('', rest)] if of]
+        return [(kind, of) for kind, of in [*kinds.items(), ('', rest)] if of]
 
     def _only(self, of: list[int], kind: str) -> Quantity:
         places = {k: place for place, k in enumerate(of)}
-        groups = {label: {group: [places[k] for k in members if k in places]
-                          for group, members in one.items()}
+        groups = {label: {group: own for group, members in one.items()
+                          if (own := [places[k] for k in members if k in places])}
                   for label, one in self.groups.items()}
         return Quantity(self.name, tuple(self.sessions[k] for k in of), self.days[of],
                         self.value[of], self.std[of], self.particles_between, groups, kind)

@@ -121,7 +121,8 @@ class Recurring:
             The sentence.
         """
         known = len(self.probability)
-        where = (f'in all {known} sessions' if len(self.present) == known else
+        where = ('in the only session' if len(self.present) == known == 1 else
+                 f'in all {known} sessions' if len(self.present) == known else
                  f'in {len(self.present)} of {known} sessions')
         if self.undecided:
             where += f' ({len(self.undecided)} cannot decide)'

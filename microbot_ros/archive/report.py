@@ -11,6 +11,7 @@ import jinja2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from microbot_ros.archive.conclusions import Conclusions, listed, refused
 from microbot_ros.archive.quantities import LABELS, Quantity
@@ -72,6 +73,7 @@ def page(archive: Archive, found: Conclusions) -> str:
     environment.globals |= {'mean': _mean, 'between': _between}
     template = environment.from_string(_TEMPLATE.read_text(encoding='utf-8'))
     figure = draw_quantities(found.quantities)
+    parts = [part for one in found.quantities for part in one.by_kind()]
     drawn = {effect.id: embedded(draw_parameters(found.parameters[effect.id]))
              for effect in found.effects if any(len(q.value) for q in found.parameters[effect.id])}
     unnamed = list(dict.fromkeys(
@@ -83,8 +85,8 @@ def page(archive: Archive, found: Conclusions) -> str:
         found=found, links=links, name=archive.folder.name,
         figure=figure and embedded(figure), drawn=drawn,
         library=EFFECTS, labels=LABELS, refused=refused(archive), unnamed=unnamed,
-        grouped=[(one, label) for one in found.quantities for label in LABELS
-                 if _several(one, label)],
+        parts=parts, grouped=[(one, label) for one in parts for label in LABELS
+                              if label != 'particle_kind' and _several(one, label)],
         versions=report_words.versions())
 
 
@@ -157,12 +159,23 @@ def draw_parameters(known: Sequence[Quantity]) -> Figure:
 
 
 def _draw(axis: Axes, one: Quantity) -> None:
-    dated = bool(np.isfinite(one.days).all()) and len(set(one.days.tolist())) > 1
-    x = one.days if dated else np.arange(1.0, len(one.value) + 1)
-    if (of := one.spread) is not None:
-        half = 1.96 * float(np.nan_to_num(of.between))
-        axis.axhspan(of.mean - half, of.mean + half, color='#999999', alpha=0.2, lw=0)
-        axis.axhline(of.mean, color='#999999', lw=1)
+    kinds, parts = one.kinds(), one.by_kind()
+    dated = bool(np.isfinite(one.days).all()) and len(set(one.days.tolist())) > 1 \
+        and len(kinds) == 1
+    x = one.days if dated else np.empty(len(one.value))
+    if not dated:
+        x[[k for _, rows in kinds for k in rows]] = np.arange(1.0, len(x) + 1)
+    for (kind, rows), part in zip(kinds, parts, strict=True):
+        ends = (0.0, 1.0) if len(kinds) == 1 else (x[rows].min() - 0.4, x[rows].max() + 0.4)
+        across = axis.get_yaxis_transform() if len(kinds) == 1 else axis.transData
+        if (of := part.spread) is not None:
+            half = 1.96 * float(np.nan_to_num(of.between))
+            axis.fill_between(ends, of.mean - half, of.mean + half, color='#999999', alpha=0.2,
+                              lw=0, transform=across)
+            axis.plot(ends, [of.mean] * 2, color='#999999', lw=1, transform=across)
+        if len(kinds) > 1:
+            axis.text(float(np.mean(ends)), 1.0, kind or 'no kind', fontsize=8, ha='center',
+                      va='bottom', transform=axis.get_xaxis_transform())
     for group, rows, style in _styles(one):
         axis.errorbar(x[rows], one.value[rows], 1.96 * one.std[rows], ls='none', ms=4,
                       elinewidth=0.7, label=group, **style)
@@ -170,7 +183,10 @@ def _draw(axis: Axes, one: Quantity) -> None:
         ticks = np.unique(np.linspace(x.min(), x.max(), 8).round())
         axis.set_xticks(ticks, [date.fromordinal(int(day)).isoformat() for day in ticks])
     else:
-        axis.set_xlabel('session, in the order of the table', fontsize=8)
+        axis.set_xlabel('session, in the order of the table' + (
+            ', kind by kind' if len(kinds) > 1 else ''), fontsize=8)
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axis.set_xlim(0.5, len(x) + 0.5)
     axis.set_ylabel(one.title.replace('.', '\n'), fontsize=9)
     axis.tick_params(labelsize=8)
     axis.spines[['top', 'right']].set_visible(False)

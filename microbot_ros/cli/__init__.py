@@ -87,6 +87,9 @@ def main() -> None:
 
     The exit status is 0 if done, 1 if failed, 2 for bad input, with one line on standard error.
     """
+    # For matrices of a hundred rows several threads take four times the processor time, and leave
+    # none to other processes of a rig. OpenBLAS reads this when the command imports numpy.
+    os.environ.setdefault('OMP_NUM_THREADS', '1')
     try:
         with _cleaned_up_on(signal.SIGTERM, signal.SIGHUP):
             status = microbot.main(standalone_mode=False)

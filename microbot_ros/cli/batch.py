@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,7 +82,7 @@ def _track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_pa
 
     tracker = read_yaml(settings_path, TrackerSettings) if settings_path else TrackerSettings()
     _run('track', {'pixel_size_um': pixel_size_um, 'frame_rate_hz': frame_rate_hz,
-                   'tracker': tracker.model_dump(mode='json', exclude_unset=True)}, **common)
+                   'tracker': tracker.content('given')}, **common)
 
 
 @command.command('fit')
@@ -145,8 +144,6 @@ def _answered(given: dict[str, Any]) -> dict[str, Any]:
 def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: Path,
          workers: int | None, scheduler: str | None, json_path: Path | None) -> None:
     """Run a task with progress and print the results."""
-    # One thread per process; OpenBLAS reads this when it is loaded.
-    os.environ.setdefault('OMP_NUM_THREADS', '1')
     from rich.console import Console
 
     from microbot_ros.archive import run_batch

@@ -52,7 +52,7 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool)
         'particles': {
             int(i): {name: float(exact_display(name, float(speed))), 'phi_rad': float(phi)}
             for i, speed, phi in zip(particles.ids, particles.speed, particles.phi, strict=True)},
-        'effects': scenario.model_dump(mode='json')['effects'],
+        'effects': scenario.content()['effects'],
     }
     with output_folder(out) as folder:
         write_session(folder, session)

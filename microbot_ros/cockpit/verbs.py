@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Awaitable, Callable
-from typing import Annotated, Any, ClassVar, Literal, get_args
-
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
-from pydantic_core import from_json
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_type_hints
 
 from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.rig import Answer, Rig
-from microbot_ros.common.errors import one_line, shown
+from microbot_ros.common.checked import Field, Settings, SettingsError, checked
+from microbot_ros.common.errors import one_line
 from microbot_ros.common.plausible import plausible_range
 
 _LONGEST_PATH = 2000
@@ -22,21 +21,19 @@ _FARTHEST_UM = plausible_range('x_um')[1]
 """Largest coordinate [µm], that of the plausible range of recorded data."""
 _LARGEST_PX = plausible_range('x_px')[1]
 """Largest pixel coordinate, that of the plausible range of recorded data."""
-Micrometres = Annotated[float, Field(ge=-_FARTHEST_UM, le=_FARTHEST_UM, allow_inf_nan=False)]
-Pixels = Annotated[float, Field(ge=-_LARGEST_PX, le=_LARGEST_PX, allow_inf_nan=False)]
-Deflection = Annotated[float, Field(ge=-1.0, le=1.0, allow_inf_nan=False)]
+Micrometres = Annotated[float, Field(ge=-_FARTHEST_UM, le=_FARTHEST_UM)]
+Pixels = Annotated[float, Field(ge=-_LARGEST_PX, le=_LARGEST_PX)]
+Deflection = Annotated[float, Field(ge=-1.0, le=1.0)]
 Text = Annotated[str, Field(max_length=_LONGEST_TEXT)]
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r'^[\w.]+$')]
 Stamp = Annotated[str, Field(pattern=r'^[0-9]{1,20}$')]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Number = Annotated[int, Field(ge=-(2**53), le=2**53)]
-_Scalar = bool | _Number | Finite | Text
+_Scalar = bool | _Number | float | Text
 
 
-class Verb(BaseModel):
+class Verb(Settings):
     """Message of a page; `id` is returned with the answer."""
 
-    model_config = ConfigDict(extra='forbid', strict=True, frozen=True)
     needs_control: ClassVar[bool] = True
     id: Annotated[int, Field(ge=0, le=2**53)] | None = None
 
@@ -165,16 +162,17 @@ class Discover(Order):
 
     verb: Literal['discover']
     on: bool
-    minutes: Annotated[float, Field(ge=0.5, le=600.0, allow_inf_nan=False)] = 10.0
+    minutes: Annotated[float, Field(ge=0.5, le=600.0)] = 10.0
 
 
-AnyVerb = Annotated[
+AnyVerb = (
     Seen | Heartbeat | Stick | TakeControl | Stop | Arm | Disarm | Goal | ClearGoals | Path
-    | SwitchController | Set | Teach | Record | Note | Discover, Field(discriminator='verb')]
-_ADAPTER: TypeAdapter[AnyVerb] = TypeAdapter(AnyVerb)
+    | SwitchController | Set | Teach | Record | Note | Discover)
+_VERBS: dict[str, type[AnyVerb]] = {
+    get_args(get_type_hints(kind)['verb'])[0]: kind for kind in get_args(AnyVerb)}
+"""Class of each verb by its name in the protocol."""
 
-NAMES = tuple(get_args(kind.model_fields['verb'].annotation)[0]
-              for kind in get_args(get_args(AnyVerb)[0]))
+NAMES = tuple(_VERBS)
 """Names of the verbs in the protocol."""
 
 
@@ -285,7 +283,7 @@ def read_verb(text: str) -> AnyVerb:
 
     Returns
     -------
-    objectVerb
+    Verb
         The verb.
 
     Raises
@@ -294,18 +292,19 @@ def read_verb(text: str) -> AnyVerb:
         If it is anything else.
     """
     try:
-        return _ADAPTER.validate_json(text)
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
-        place = '.'.join(str(part) for part in first['loc'])
-        reason = f'{place}: {first["msg"]}; received {shown(first["input"])}'
-        raise VerbError(text, reason.removeprefix(': ')) from None
+        content = checked(dict[str, Any], json.loads(text))
+        name = content.get('verb')
+        if name not in NAMES:
+            raise SettingsError(f'expected one of: {", ".join(NAMES)}', 'verb', received=name)
+        return _VERBS[name].from_content(content)
+    except (ValueError, RecursionError) as error:
+        raise VerbError(text, str(error)) from None
 
 
 def _id_in(text: str) -> int | None:
     try:
-        content = from_json(text)
-    except ValueError:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
         return None
     found = content.get('id') if isinstance(content, dict) else None
     return found if type(found) is int else None

@@ -8,37 +8,41 @@ import tempfile
 import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
-import pydantic
 import yaml
 
 from microbot_ros.common import strict_yaml
-from microbot_ros.common.errors import InputError, PackageError, ReportError, clipped, shown
-from microbot_ros.common.plausible import check_plausible
+from microbot_ros.common.checked import SettingsError, checked
+from microbot_ros.common.errors import InputError, ReportError, clipped
+
+_folder: ContextVar[Path] = ContextVar('_folder', default=Path())
+"""Folder of the file that is being read."""
 
 
-class Settings(pydantic.BaseModel):
-    """Base of everything read from YAML.
+def beside(path: Any) -> Any:
+    """Return a path in a file that is being read, relative to the folder of that file.
 
-    Unknown keys, NaN, infinity and numbers that no rig has are errors.
+    Parameters
+    ----------
+    path : object
+        The path; what is no path is returned as it is.
+
+    Returns
+    -------
+    object
+        The path.
     """
-
-    model_config = pydantic.ConfigDict(extra='forbid', frozen=True, allow_inf_nan=False)
-
-    @pydantic.field_validator('*')
-    @classmethod
-    def _plausible(cls, value: Any, field: pydantic.ValidationInfo) -> Any:
-        check_plausible(field.field_name or '', value)
-        return value
+    return _folder.get() / path if isinstance(path, str | Path) else path
 
 
-SettingsT = TypeVar('SettingsT', bound=pydantic.BaseModel)
+ContentT = TypeVar('ContentT')
 
 
-def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
-    """Read the YAML file `path` as validated `settings`.
+def read_yaml(path: str | Path, kind: type[ContentT]) -> ContentT:
+    """Read the YAML file `path` as a value of the type `kind`, checked.
 
     Raises InputError naming file, line, key and what was expected if the file is missing, is not
     YAML or does not fit.
@@ -47,12 +51,12 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
     ----------
     path : str or Path
         YAML file to read.
-    settings : type[SettingsT]
-        Class of the content.
+    kind : type[ContentT]
+        Type of the content: settings, or a dict of what `checked` accepts.
 
     Returns
     -------
-    SettingsT
+    ContentT
         The content.
     """
     path = Path(path)
@@ -60,14 +64,14 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
     content = content or {}
     if not isinstance(content, dict):
         raise InputError(path, 'expected a mapping (key: value) at the top level', 1)
+    before = _folder.set(path.parent)
     try:
-        return settings.model_validate(content, context={'folder': path.parent})
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        cause = first.get('ctx', {}).get('error')
-        if isinstance(cause, PackageError):
-            raise cause from None
-        raise InputError(path, _explain(first, settings), _line_of(tree, first['loc'])) from None
+        found: ContentT = checked(kind, content)
+        return found
+    except SettingsError as error:
+        raise InputError(path, str(error), _line_of(tree, error.place)) from None
+    finally:
+        _folder.reset(before)
 
 
 def load_yaml(path: str | Path, loader: type[strict_yaml.StrictLoader] = strict_yaml.StrictLoader,
@@ -117,18 +121,6 @@ def line_of(path: str | Path, *keys: int | str) -> int | None:
         Line from 1; None if there is no tree.
     """
     return _line_of(load_yaml(path)[0], keys)
-
-
-def _explain(error: Any, settings: type[pydantic.BaseModel]) -> str:
-    key = clipped('.'.join(str(part) for part in error['loc'])) or 'the file'
-    if error['type'] == 'extra_forbidden':
-        known = sorted(settings.model_fields) if len(error['loc']) == 1 else []
-        hint = f'; expected one of: {", ".join(known)}' if known else ''
-        return f"unknown key '{key}'{hint}"
-    if error['type'] == 'missing':
-        return f"expected a key '{key}'"
-    message = error['msg'].removeprefix('Value error, ')
-    return f"'{key}': {message[0].lower()}{message[1:]}; received {shown(error['input'])}"
 
 
 def _line_of(tree: yaml.Node | None, location: tuple[int | str, ...]) -> int | None:

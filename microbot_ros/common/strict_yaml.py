@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import yaml
@@ -120,6 +121,12 @@ class StrictLoader(yaml.SafeLoader):
                     _refuse(f"the key '{clipped(key.value)}' appears twice", key.start_mark)
                 seen.add((key.tag, key.value))
         return node
+
+
+# YAML 1.1, which PyYAML reads, takes `1e-3` and `1.5e3` for texts; YAML 1.2 and ROS do not.
+StrictLoader.add_implicit_resolver(
+    'tag:yaml.org,2002:float', re.compile(r'[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+\Z'),
+    list('-+.0123456789'))
 
 
 def load(text: str, loader: type[StrictLoader] = StrictLoader) -> tuple[yaml.Node | None, Any]:

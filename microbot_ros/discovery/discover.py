@@ -249,7 +249,7 @@ def _unsteady(fit: ModelFit) -> list[str]:
 
 
 def _unlike_fit(start: ModelFit, fit: ModelFit) -> list[str]:
-    """Return why speeds differ from those of `microbot fit`; empty up to a difference of ALIKE."""
+    """Return why speeds differ from the first-order model; empty up to a difference of ALIKE."""
     before, after = (np.concatenate([
         np.abs(p.velocity_phasor[p.session.main]) for p in one.session_fits])
         for one in (start, fit))
@@ -258,9 +258,11 @@ def _unlike_fit(start: ModelFit, fit: ModelFit) -> list[str]:
         return []
     what, unit = ('gain', 'µm/s/Hz') if fit.model.propulsion == 'rolling' else ('speed', 'µm/s')
     usual, found = (float(np.median(one[moved])) * 1e6 for one in (before, after))
+    unsteady = any(p.whitening.fluctuation is not None for p in start.session_fits)
     return [f'The {what} is {found:.3g} {unit} (median) with the effects and {usual:.3g} '
-            f'{unit} in the first-order model of microbot fit: the effects change the mean '
-            'speed.']
+            f'{unit} in the first-order model: the effects change the mean speed.'
+            + (' microbot fit weighs fast and slow parts differently, as speeds do not fluctuate '
+               'in its noise.' if unsteady else '')]
 
 
 def _beyond_commands(fit: ModelFit) -> list[str]:

@@ -70,7 +70,10 @@ def rotating_components(
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Sums (B, N, 2) and counts (B, N, 1) of whitened residuals in blocks, and their middles."""
+    """Sums and counts (B, N, 2) of whitened residuals in blocks, and their middles.
+
+    Both are 0, and the place is 0, for a particle that is missing in the middle of a block.
+    """
 
     residual: np.ndarray
     count: np.ndarray
@@ -81,14 +84,15 @@ class _Blocks:
         times, commands = p.session.times, p.session.commands
         first = np.unique(((times - times[0]) / BLOCK).astype(int), return_index=True)[1]
         middle = (first + np.append(first[1:], len(times))) // 2
-        t = times[middle]
+        t, position = times[middle], p.session.causal_positions[middle]
+        known = np.isfinite(position)
         context = EffectContext(
             t[:, None], np.zeros((len(t), 1)), model.field(commands.field_at(t)[:, None]),
             commands.frequency_at(t)[:, None], model.reference_field,
-            Places(p.session.causal_positions[middle]))
+            Places(np.where(known, position, 0.0)))
         count = np.add.reduceat(p.residual != 0, first, axis=0)
-        return cls(as_vectors(np.add.reduceat(p.residual, first, axis=0)), count[..., None],
-                   context)
+        return cls(known * as_vectors(np.add.reduceat(p.residual, first, axis=0)),
+                   known * count[..., None].astype(float), context)
 
 
 def likely_places(fit: ModelFit, starts: Iterable[AnyEffect],
@@ -126,13 +130,13 @@ def likely_places(fit: ModelFit, starts: Iterable[AnyEffect],
 
 
 def _score(blocks: Sequence[_Blocks], start: Effect) -> tuple[float, float]:
-    """Return slope and information of the likelihood in the strength of a drift."""
+    """Return slope and information of the likelihood in the strength of a drift of place."""
     strength = next(p for p in start.parameters() if not p.shape)
     unit = replace(start, **{strength.field: strength.from_fit(1.0)})
     slope = information = 0.0
     for block in blocks:
-        drift = unit.drift(block.middle)
-        push = np.zeros(2) if drift is None else np.nan_to_num(drift) / strength.scale
-        slope += float((block.residual * push).sum())
-        information += float((block.count * push**2).sum())
-    return slope, information
+        push = unit.drift(block.middle)
+        assert push is not None
+        slope += float(np.vdot(block.residual, push))
+        information += float(np.vdot(block.count, push * push))
+    return slope / strength.scale, information / strength.scale**2

@@ -52,7 +52,7 @@ Ranges = Mapping[str, Mapping[str, tuple[float, float]]]
 """Effect → parameter → its lowest and highest value."""
 Rows = np.ndarray | slice
 
-_DEFAULT = Scenario.model_validate({
+_DEFAULT = Scenario.from_content({
     'duration_s': 60, 'radius_um': 2.3, 'reference_field_mT': 5.0, 'spread_um': 40,
     'fluid': {'viscosity_mPa_s': 1.245}, 'controller': {'name': 'policy'},
     'camera': {'frame_rate_hz': 30, 'localisation_um': 0.1},
@@ -83,13 +83,11 @@ class SteeredWorlds:
     def __init__(self, count: int, scenario: str | Path | None, particles: int | None,
                  randomise: Ranges | None) -> None:
         self._source = str(scenario or 'scenario')
-        chosen, listed = (_DEFAULT, _DEFAULT.listed) if scenario is None else read_scenario(
+        self.scenario, listed = (_DEFAULT, _DEFAULT.listed) if scenario is None else read_scenario(
             Path(scenario))
         self.particles = len(listed.ids) if particles is None else particles
         """Number of particles in each world."""
         self._listed = listed if particles is None else None
-        self.scenario = chosen if particles is None else chosen.model_copy(
-            update={'particles': ()})
         if foreign := [name for name in self.scenario.effects if name not in INJECTABLE]:
             raise InputError(self._source, "'effects': expected effects of the physics, not "
                                            f'{foreign[0]} of another package')
@@ -180,7 +178,7 @@ class SteeredWorlds:
         scenario, count = self.scenario, self.particles
         particles = self._listed or ParticleParameters(
             np.arange(count), rng.uniform(*SPEEDS, count), rng.uniform(-math.pi, math.pi, count))
-        start = starting_places(scenario, count, rng, self._source)
+        start = starting_places(scenario, count, rng, self._source, self._listed is None)
         made = make_bodies(scenario, particles, start, rng.uniform(-math.pi, math.pi, count))
         drawn = {effect: {name: rng.uniform(*ends) for name, ends in ranges.items()}
                  for effect, ranges in self._randomise.items()}

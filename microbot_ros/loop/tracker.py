@@ -186,8 +186,8 @@ class TrackerStage:
         settings, said = learn(self._wanted, self._frame_at(stamp), x, y, kind)
         if like:
             # A taught place is no longer masked.
-            settings = settings.model_copy(update={'standing': tuple(
-                place for place in settings.standing if not place.holds(x, y))})
+            settings = settings.replaced(standing=tuple(
+                place for place in settings.standing if not place.holds(x, y)))
         self._wanted, more = self._masked(settings, x, y)
         return said + more
 
@@ -239,7 +239,7 @@ class TrackerStage:
         if not places:
             return settings, ''
         where = ' '.join(f'{place.x_px:.0f},{place.y_px:.0f}' for place in places)
-        return (settings.model_copy(update={'standing': (*settings.standing, *places)}),
+        return (settings.replaced(standing=(*settings.standing, *places)),
                 f'; left out as burnt into the picture: what is at {where}')
 
     def with_kinds(self, particles: np.ndarray) -> np.ndarray:

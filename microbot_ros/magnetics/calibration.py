@@ -107,12 +107,12 @@ class Calibration:
         """
         summary = self.summary()
         windings = tuple(
-            winding.model_copy(update={key: summary['coils'][winding.name][key]
-                                       for key in ('gain', 'sign')})
+            winding.replaced(**{key: summary['coils'][winding.name][key]
+                                for key in ('gain', 'sign')})
             for winding in settings.windings
         )
-        return settings.model_copy(update={
-            'windings': windings, 'background_mT': tuple(summary['background_mT'])})
+        return settings.replaced(
+            windings=windings, background_mT=tuple(summary['background_mT']))
 
 
 def read_readings(path: str | Path, settings: CoilSettings) -> Readings:
@@ -174,8 +174,8 @@ def calibrate(readings: Readings, settings: CoilSettings, source: str | Path) ->
         If the readings cannot separate the coils, columns look swapped, a coil makes no field, or
         the geometry does not explain the readings.
     """
-    plain = [winding.model_copy(update={'gain': 1.0, 'sign': 1}) for winding in settings.windings]
-    coils = CoilSet(settings.model_copy(update={'windings': tuple(plain)}))
+    plain = [winding.replaced(gain=1.0, sign=1) for winding in settings.windings]
+    coils = CoilSet(settings.replaced(windings=tuple(plain)))
     fit = _fit(readings, coils)
     if fit is None:
         raise InputError(source, 'expected readings that separate the coils: drive each coil '
@@ -290,13 +290,13 @@ def with_coil_map(settings: CoilSettings, gain_ratio: float, skew: float, matrix
         if winding.turns is None:
             raise InputError(winding.name, 'expected a wire; a measured field cannot be rotated')
     windings = tuple(
-        _turned(winding, -skew).model_copy(update={'gain': winding.gain * gain_ratio})
+        _turned(winding, -skew).replaced(gain=winding.gain * gain_ratio)
         if y else winding for winding, y in zip(settings.windings, of_y, strict=True))
     # The currents were computed for the wanted field minus the background of `settings`.
     known, above = settings.background_mT[:2], settings.background_mT[2:]
     background = 1e3 * (offset + matrix @ (1e-3 * np.array(known)))
-    return settings.model_copy(update={
-        'windings': windings, 'background_mT': (*background.tolist(), *above)})
+    return settings.replaced(
+        windings=windings, background_mT=(*background.tolist(), *above))
 
 
 def _turned(winding: Winding, angle: float) -> Winding:
@@ -306,7 +306,6 @@ def _turned(winding: Winding, angle: float) -> Winding:
         cosine, sine = math.cos(angle), math.sin(angle)
         return cosine * x - sine * y, sine * x + cosine * y, z
 
-    return winding.model_copy(update={
-        'position_mm': turn(winding.position_mm),
-        'axis': winding.axis and turn(winding.axis),
-        'vertices_mm': winding.vertices_mm and tuple(map(turn, winding.vertices_mm))})
+    return winding.replaced(
+        position_mm=turn(winding.position_mm), axis=winding.axis and turn(winding.axis),
+        vertices_mm=winding.vertices_mm and tuple(map(turn, winding.vertices_mm)))

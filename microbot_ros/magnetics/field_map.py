@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from microbot_ros.common.compiled import numba
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.units import from_si, to_si
 from microbot_ros.magnetics.sources import as_points
@@ -15,6 +16,62 @@ from microbot_ros.magnetics.table import read_table
 
 COLUMNS = ('x_mm', 'y_mm', 'z_mm', 'bx_mT_per_A', 'by_mT_per_A', 'bz_mT_per_A')
 _FIELD = 'field_mT_per_A'
+
+_compiled = numba.njit(cache=True, error_model='numpy')
+
+
+@_compiled
+def _basis(knots: np.ndarray, degree: int, x: float, order: int, weights: np.ndarray) -> int:
+    """Write the B-splines that are not 0 at x to weights (4,); return the index of the first.
+
+    Their derivatives if `order` is 1. C. de Boor, J. Approximation Theory 6, 50 (1972).
+    """
+    last = len(knots) - degree - 2
+    first = min(int(np.searchsorted(knots, x, side='right')) - 1, last) - degree
+    weights[:] = 0.0
+    weights[degree] = 1.0
+    for d in range(1, degree + 1):
+        for j in range(degree - d, degree + 1):
+            i = first + j
+            rising = weights[j] / (knots[i + d] - knots[i]) if weights[j] else 0.0
+            falling = 0.0
+            if j < degree and weights[j + 1]:
+                falling = weights[j + 1] / (knots[i + d + 1] - knots[i + 1])
+            if order == 1 and d == degree:
+                weights[j] = degree * (rising - falling)
+            else:
+                weights[j] = (x - knots[i]) * rising + (knots[i + d + 1] - x) * falling
+    return first
+
+
+@_compiled
+def _spline(points: np.ndarray, knots: tuple[np.ndarray, np.ndarray, np.ndarray],
+            coefficients: np.ndarray, orders: tuple[int, int, int], out: np.ndarray) -> None:
+    """Write the tensor product of splines along x, y and z to `out` (M, 3), NaN outside the grid.
+
+    `coefficients` (X, Y, Z, 3); `orders` are those of the derivatives, 0 or 1.
+    """
+    weights = np.empty((3, 4))
+    first = np.empty(3, np.int64)
+    degrees = np.empty(3, np.int64)
+    for axis in range(3):
+        degrees[axis] = len(knots[axis]) - coefficients.shape[axis] - 1
+    for m in range(len(points)):
+        inside = True
+        for axis in range(3):
+            t, x = knots[axis], points[m, axis]
+            inside &= t[0] <= x <= t[-1]
+            if inside:
+                first[axis] = _basis(t, degrees[axis], x, orders[axis], weights[axis])
+        out[m] = 0.0 if inside else np.nan
+        if inside:
+            for i in range(degrees[0] + 1):
+                for j in range(degrees[1] + 1):
+                    for k in range(degrees[2] + 1):
+                        weight = weights[0, i] * weights[1, j] * weights[2, k]
+                        for c in range(3):
+                            out[m, c] += weight * coefficients[
+                                first[0] + i, first[1] + j, first[2] + k, c]
 
 
 class FieldMap:
@@ -40,7 +97,7 @@ class FieldMap:
 
     def __init__(self, places: tuple[np.ndarray, ...], field: np.ndarray,
                  source: str | Path = 'field_map') -> None:
-        from scipy.interpolate import NdBSpline, make_interp_spline
+        from scipy.interpolate import make_interp_spline
         if field.shape != (*map(len, places), 3) or not np.isfinite(field).all():
             raise InputError(source, 'expected a finite field at each place of the grid, an '
                                      f'array of {(*map(len, places), 3)}; received one of '
@@ -48,14 +105,13 @@ class FieldMap:
         for name, along in zip('xyz', places, strict=True):
             if len(along) < 2 or not (np.isfinite(along).all() and (np.diff(along) > 0).all()):
                 raise InputError(source, f'expected two or more places along {name}, ascending')
-        knots, degrees = [], []
+        knots = []
         for axis, along in enumerate(places):
             spline = make_interp_spline(along, field, min(3, len(along) - 1), axis=axis)
             # SciPy returns the coefficients with the interpolated axis first.
             field = np.moveaxis(spline.c, 0, axis)
             knots.append(spline.t)
-            degrees.append(spline.k)
-        self._spline = NdBSpline(tuple(knots), np.ascontiguousarray(field), tuple(degrees))
+        self._knots, self._coefficients = tuple(knots), np.ascontiguousarray(field)
         self._low, self._high = (np.array([along[end] for along in places]) for end in (0, -1))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
@@ -71,7 +127,7 @@ class FieldMap:
         ndarray, shape (M, 3)
             Field [T/A].
         """
-        return self._evaluate(as_points(points), (0, 0, 0))
+        return self._evaluate(as_points(points), 0, 0, 0)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
         """Return ∂Bᵢ/∂xⱼ [T/m/A] at `points` (M, 3) [m], shape (M, 3, 3); NaN outside the grid.
@@ -87,7 +143,8 @@ class FieldMap:
             Gradient [T/m/A].
         """
         points = as_points(points)
-        return np.stack([self._evaluate(points, orders) for orders in np.eye(3, dtype=int)], -1)
+        return np.stack([self._evaluate(points, *orders)
+                         for orders in ((1, 0, 0), (0, 1, 0), (0, 0, 1))], axis=-1)
 
     def margin(self, point: np.ndarray) -> float:
         """Return the distance [m] from `point` to the nearest side of the grid; < 0 outside.
@@ -104,9 +161,11 @@ class FieldMap:
         """
         return float(np.minimum(point - self._low, self._high - point).min())
 
-    def _evaluate(self, points: np.ndarray, orders: ArrayLike) -> np.ndarray:
+    def _evaluate(self, points: np.ndarray, *orders: int) -> np.ndarray:
         """Return the derivative of the `orders` along x, y and z, shape (M, 3)."""
-        return np.asarray(self._spline(points, nu=orders, extrapolate=False))
+        found = np.empty_like(points)
+        _spline(points, self._knots, self._coefficients, orders, found)
+        return found
 
 
 def read_field_map(path: str | Path) -> FieldMap:

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-import pydantic
-from pydantic import Field, PositiveFloat, PositiveInt
 
-from microbot_ros.common.files import Settings
+from microbot_ros.common.checked import (
+    Field,
+    PositiveFloat,
+    PositiveInt,
+    Settings,
+    SettingsError,
+)
+from microbot_ros.common.files import beside
 from microbot_ros.magnetics.saturation import Saturation
 from microbot_ros.magnetics.sources import Loop, Placed, Polyline, Source
 
@@ -48,9 +53,9 @@ class Winding(Settings):
     axis: Vector | None = None
     radius_mm: PositiveFloat | None = None
     rectangle_mm: tuple[PositiveFloat, PositiveFloat] | None = None
-    vertices_mm: tuple[Vector, ...] | None = Field(None, min_length=3)
+    vertices_mm: tuple[Vector, ...] | None = Field(default=None, min_length=3)
     closed: bool | None = None
-    field_map: Path | None = None
+    field_map: Annotated[Path, beside] | None = None
     source: str | None = None
     turns: PositiveInt | None = None
     resistance_ohm: PositiveFloat
@@ -59,13 +64,7 @@ class Winding(Settings):
     gain: PositiveFloat = 1.0
     sign: Literal[1, -1] = 1
 
-    @pydantic.field_validator('field_map')
-    @classmethod
-    def _beside_the_file(cls, path: Path | None, info: pydantic.ValidationInfo) -> Path | None:
-        return path and Path((info.context or {}).get('folder', '')) / path
-
-    @pydantic.model_validator(mode='after')
-    def _is_a_coil(self) -> Self:
+    def __post_init__(self) -> None:
         shapes = [name for name in _SHAPES if getattr(self, name) is not None]
         if len(shapes) != 1 or (self.axis is None) == (shapes[0] in _ALONG_AXIS):
             raise ValueError('expected radius_mm and axis, rectangle_mm and axis, or one of '
@@ -80,7 +79,6 @@ class Winding(Settings):
             if not self.saturation[-1][0] >= self.max_current_A:
                 raise ValueError('expected a saturation up to max_current_A')
         self.made_by()  # runs its checks now, while file and line are known
-        return self
 
     def made_by(self) -> Source:
         """Return the field source of this coil, gain and sign included.
@@ -184,36 +182,43 @@ class CoilSettings(Settings):
     background_mT: tuple[float, float] | Vector = (0.0, 0.0)
     axes: Literal['xy', 'xyz'] | None = None
 
-    @pydantic.model_validator(mode='wrap')
     @classmethod
-    def _from_a_file(cls, content: Any, validated: pydantic.ModelWrapValidatorHandler[Self],
-                     info: pydantic.ValidationInfo) -> CoilSettings:
-        """Accept both a file with all coils under the key `coils` and one without that key."""
-        if isinstance(content, dict) and 'coils' in content:
-            return _CoilsFile.model_validate(content, context=info.context).coils
-        return validated(content)
+    def from_content(cls, content: Any) -> Self:
+        """Return the coils of a file, which has all of them under the key `coils` or not.
 
-    @pydantic.field_validator('windings')
-    @classmethod
-    def _are_apart(
-        cls, windings: tuple[Winding, ...], info: pydantic.ValidationInfo,
-    ) -> tuple[Winding, ...]:
-        if not 2 <= len(windings) <= _MOST:
-            raise ValueError(f'expected 2 to {_MOST} coils, found {len(windings)}')
-        for one, other in combinations(windings, 2):
+        Parameters
+        ----------
+        content : object
+            Content of the file.
+
+        Returns
+        -------
+        CoilSettings
+            The coils.
+        """
+        if isinstance(content, dict) and 'coils' in content:
+            content = _CoilsFile.from_content(content).coils
+        return super().from_content(content)
+
+    def __post_init__(self) -> None:
+        if not 2 <= len(self.windings) <= _MOST:
+            raise SettingsError(f'expected 2 to {_MOST} coils, found {len(self.windings)}',
+                                'windings')
+        for one, other in combinations(self.windings, 2):
             if one.name == other.name:
-                raise ValueError(f"expected different names, found '{one.name}' twice")
+                raise SettingsError(f"expected different names, found '{one.name}' twice",
+                                    'windings')
             if one.coincides_with(other):
-                raise ValueError(f"'{one.name}' and '{other.name}' lie in the same place")
-        workspace = info.data.get('workspace_mm', 0.0)
-        for winding in windings:
+                raise SettingsError(f"'{one.name}' and '{other.name}' lie in the same place",
+                                    'windings')
+        for winding in self.windings:
             margin = 1e3 * winding.made_by().margin(np.zeros(3))
-            if not margin > workspace:
+            if not margin > self.workspace_mm:
                 what = 'a map that ends' if winding.field_map else 'its wire'
-                raise ValueError(f"'{winding.name}' has {what} {max(margin, 0.0):.3g} mm from the "
-                                 'workspace centre; expected more than workspace_mm, '
-                                 f'{workspace:g} mm')
-        return windings
+                raise SettingsError(
+                    f"'{winding.name}' has {what} {max(margin, 0.0):.3g} mm from the workspace "
+                    f'centre; expected more than workspace_mm, {self.workspace_mm:g} mm',
+                    'windings')
 
 
 class _CoilsFile(Settings):

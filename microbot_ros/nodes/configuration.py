@@ -7,11 +7,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-import pydantic
-
 from microbot_ros.common import errors, settings
+from microbot_ros.common.checked import Field, Settings
 from microbot_ros.common.errors import InputError, clipped
-from microbot_ros.common.files import Settings, line_of, load_yaml, read_yaml
+from microbot_ros.common.files import line_of, load_yaml, read_yaml
 from microbot_ros.control.registry import PluginError, controller_class
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.nodes.base.lifecycle import RigNode
@@ -21,11 +20,7 @@ EVERY_NODE = ('use_sim_time',)
 
 
 class _Section(Settings):
-    ros__parameters: dict[str, Any] = pydantic.Field(default_factory=dict)
-
-
-class _File(pydantic.RootModel[dict[str, _Section]]):
-    pass
+    ros__parameters: dict[str, Any] = Field(default_factory=dict)
 
 
 def read_rig(path: str | Path, namespace: str = '') -> dict[str, dict[str, Any]]:
@@ -51,7 +46,7 @@ def read_rig(path: str | Path, namespace: str = '') -> dict[str, dict[str, Any]]
         out of range; and if no section is for nodes of the namespace, which ROS would leave at
         their defaults.
     """
-    sections = read_yaml(path, _File).root
+    sections = read_yaml(path, dict[str, _Section])
     rig: dict[str, dict[str, Any]] = {}
     elsewhere = ''
     for key, section in sections.items():
@@ -226,7 +221,7 @@ def _value(rig: dict[str, dict[str, Any]], node: str, name: str) -> Any:
 def _line_of(path: str | Path, node: str, name: str, namespace: str) -> int | None:
     """Where a file gives a node of a namespace a parameter, or else where it gives it any."""
     sections = [(key, section.ros__parameters)
-                for key, section in read_yaml(path, _File).root.items()
+                for key, section in read_yaml(path, dict[str, _Section]).items()
                 if key.rpartition('/')[2] == node
                 and (not namespace or _is_in(key.rpartition('/')[0], namespace))]
     for key, parameters in sections:

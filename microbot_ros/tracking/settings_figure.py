@@ -61,7 +61,7 @@ def write_settings_figure(
 def _explain(appearance: Appearance, settings: TrackerSettings) -> list[str]:
     lines = ['found from the first frames:', *(f'  {line}' for line in appearance.describe())]
     lines += ['', 'settings (none: as found above):']
-    for name, value in settings.model_dump().items():
-        chosen = '' if name in settings.model_fields_set else ' (default)'
+    for name, value in settings.content().items():
+        chosen = '' if name in settings.given else ' (default)'
         lines.append(f'  {name}: {"none" if value is None else value}{chosen}')
     return lines

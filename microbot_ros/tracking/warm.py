@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Literal
 
 import numpy as np
 
@@ -32,7 +33,9 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
     at, one = np.zeros((2, 2)), np.ones(2)
     assign(at, one, one, at, one, at, one, at, 1.0, 1e-9)  # two that compete
     rng = np.random.default_rng(0)
-    for shape, cap in (('round', 0.0), ('round', 40.0), ('any', 0.0)):
+    shapes: tuple[tuple[Literal['round', 'any'], float], ...] = (
+        ('round', 0.0), ('round', 40.0), ('any', 0.0))
+    for shape, cap in shapes:
         settings = TrackerSettings(shape=shape, diameter_px=10)
         scale = 1 if dtype is np.uint8 else 64
         # One frame more than needed to name a particle.

@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import Field
 
 from microbot_ros.common import units
-from microbot_ros.common.files import Settings
+from microbot_ros.common.checked import Field, Settings
 
 _NOISE_BANK = 1 << 20  # choice: stored normal deviates, 3 frames; rows start at random places
 _GOLDEN = 0.6180339887498949  # golden ratio, for well distributed phases

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-import pydantic
 
+from microbot_ros.common.checked import Field, Settings, SettingsError
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.files import Settings, line_of, read_yaml
+from microbot_ros.common.files import line_of, read_yaml
 from microbot_ros.common.plausible import check_plausible
 from microbot_ros.common.records import Commands, Conditions, height_problem
 from microbot_ros.common.units import exact_si
@@ -24,9 +24,9 @@ from microbot_ros.virtual_rig.commands import ROTATING_HZ, Herding, rotating, st
 from microbot_ros.virtual_rig.foreign_effects import check_effect
 from microbot_ros.virtual_rig.record_session import Camera, Feedback
 
-Positive = Annotated[float, pydantic.Field(gt=0)]
-Fraction = Annotated[float, pydantic.Field(ge=0, lt=1)]
-LevelSettings = Positive | Annotated[tuple[Positive, ...], pydantic.Field(min_length=1)]
+Positive = Annotated[float, Field(gt=0)]
+Fraction = Annotated[float, Field(ge=0, lt=1)]
+LevelSettings = Positive | Annotated[tuple[Positive, ...], Field(min_length=1)]
 _MOST_ROWS = 1e7  # choice: frames of a simulation, an array of 160 MB per particle
 EffectSettings = dict[str, dict[str, float | tuple[float, ...]]]
 
@@ -42,16 +42,14 @@ class CameraSettings(Settings):
     """Section `camera`; see `record_session.Camera`."""
 
     frame_rate_hz: Positive
-    exposure: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.0
-    localisation_um: Annotated[float, pydantic.Field(ge=0)] = 0.0
+    exposure: Annotated[float, Field(ge=0, le=1)] = 0.0
+    localisation_um: Annotated[float, Field(ge=0)] = 0.0
     missed: Fraction = 0.0
     run: Positive = 1.0
     dropped: Fraction = 0.0
 
-    @pydantic.model_validator(mode='after')
-    def possible(self) -> CameraSettings:
+    def __post_init__(self) -> None:
         self.camera()
-        return self
 
     def camera(self) -> Camera:
         """Return the camera in SI.
@@ -82,15 +80,12 @@ class StepSettings(Settings):
     field_mT: LevelSettings
     dwell_s: tuple[Positive, Positive]
     centre_deg: float = 0.0
-    spread_deg: Annotated[float, pydantic.Field(gt=0, le=180)] = 180.0
+    spread_deg: Annotated[float, Field(gt=0, le=180)] = 180.0
     frequency_hz: LevelSettings | None = None
 
-    @pydantic.field_validator('dwell_s')
-    @classmethod
-    def ordered(cls, dwell: tuple[float, float]) -> tuple[float, float]:
-        if dwell[0] > dwell[1]:
-            raise ValueError('expected the shortest, then the longest')
-        return dwell
+    def __post_init__(self) -> None:
+        if self.dwell_s[0] > self.dwell_s[1]:
+            raise SettingsError('expected the shortest, then the longest', 'dwell_s')
 
 
 class RotatingSettings(Settings):
@@ -111,7 +106,7 @@ class RowSettings(Settings):
     """One of a list of commands, held until the next."""
 
     t_s: float
-    field_mT: Annotated[float, pydantic.Field(ge=0)]
+    field_mT: Annotated[float, Field(ge=0)]
     direction_deg: float
     frequency_hz: float | None = None
 
@@ -122,20 +117,13 @@ class CommandSettings(Settings):
     steps: StepSettings | None = None
     rotating: RotatingSettings | None = None
     herding: HerdingSettings | None = None
-    rows: Annotated[tuple[RowSettings, ...], pydantic.Field(min_length=1)] | None = None
+    rows: Annotated[tuple[RowSettings, ...], Field(min_length=1)] | None = None
 
-    @pydantic.field_validator('rows')
-    @classmethod
-    def ascending(cls, rows: tuple[RowSettings, ...]) -> tuple[RowSettings, ...]:
-        if any(after.t_s <= before.t_s for before, after in pairwise(rows)):
-            raise ValueError("expected 't_s' to ascend")
-        return rows
-
-    @pydantic.model_validator(mode='after')
-    def one_way(self) -> CommandSettings:
-        if len(self.model_fields_set) != 1:
+    def __post_init__(self) -> None:
+        if any(after.t_s <= before.t_s for before, after in pairwise(self.rows or ())):
+            raise SettingsError("expected 't_s' to ascend", 'rows')
+        if len(self.given) != 1:
             raise ValueError('expected exactly one of: steps, rotating, herding, rows')
-        return self
 
     def control(
         self, duration: float, phi: np.ndarray, rng: np.random.Generator,
@@ -205,7 +193,7 @@ class ControllerSettings(Settings):
     goals_um: tuple[Place, ...] = ()
     path_um: tuple[Place, ...] = ()
     max_field_mT: Positive = 5.0
-    parameters: dict[str, Any] = pydantic.Field(default_factory=dict)
+    parameters: dict[str, Any] = Field(default_factory=dict)
     pictures: bool = False
 
 
@@ -222,7 +210,7 @@ class Scenario(Settings):
     physics: Literal['langevin', 'first_order', 'newton_stokes'] = 'langevin'
     propulsion: Propulsion = 'catalytic'
     duration_s: Positive
-    seed: Annotated[int, pydantic.Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0)] = 0
     radius_um: Positive
     height_um: Positive | None = None
     reference_field_mT: Positive
@@ -235,40 +223,35 @@ class Scenario(Settings):
     walls_um: tuple[Wall, ...] = ()
     commands: CommandSettings | None = None
     controller: ControllerSettings | None = None
-    effects: EffectSettings = pydantic.Field(default_factory=dict)
-    _learned: tuple[LearnedTerm, ...] = pydantic.PrivateAttr(default=())
+    effects: EffectSettings = Field(default_factory=dict)
+    _learned: ClassVar[tuple[LearnedTerm, ...]] = ()
 
     @property
     def learned(self) -> tuple[LearnedTerm, ...]:
         """Learned terms of its `model`."""
         return self._learned
 
-    @pydantic.field_validator('height_um')
-    @classmethod
-    def above_the_floor(cls, height: float | None, info: pydantic.ValidationInfo) -> float | None:
-        if problem := height_problem(height, info.data.get('radius_um')):
-            raise ValueError(problem)
-        return height
+    def __post_init__(self) -> None:
+        if problem := height_problem(self.height_um, self.radius_um):
+            raise SettingsError(problem, 'height_um')
+        self._check_particles()
+        self._check_walls()
+        self._check_commands()
 
-    @pydantic.model_validator(mode='after')
-    def particles_fit(self) -> Scenario:
+    def _check_particles(self) -> None:
         if bool(self.particles) == bool(self.model):
             raise ValueError("expected either 'particles' or 'model'")
         for i, particle in enumerate(self.particles):
-            if particle.model_fields_set & {'v_um_s', 'gain_um_s_hz'} != {self.speed_key}:
+            if particle.given & {'v_um_s', 'gain_um_s_hz'} != {self.speed_key}:
                 raise ValueError(f"expected '{self.speed_key}' of {self.propulsion} particle {i}")
-        return self
 
-    @pydantic.model_validator(mode='after')
-    def walls_fit(self) -> Scenario:
+    def _check_walls(self) -> None:
         if self.walls_um and self.physics != 'langevin':
             raise ValueError("expected langevin physics for 'walls_um'")
         if any(wall[:2] == wall[2:] for wall in self.walls_um):
             raise ValueError("expected two different ends of each of 'walls_um'")
-        return self
 
-    @pydantic.model_validator(mode='after')
-    def commands_fit(self) -> Scenario:
+    def _check_commands(self) -> None:
         if (self.commands is None) == (self.controller is None):
             raise ValueError("expected either 'commands' or 'controller'")
         rolls = self.commands is not None and self.commands.rolls
@@ -283,7 +266,23 @@ class Scenario(Settings):
         if rows > _MOST_ROWS:
             raise ValueError(f"expected 'duration_s' to hold at most {_MOST_ROWS:g} frames, and "
                              f'as many commands; it would hold {rows:.3g}')
-        return self
+
+    def replaced(self, **changes: Any) -> Self:
+        """Return this scenario with `changes`, checked, and with the same learned terms.
+
+        Parameters
+        ----------
+        **changes : object
+            New values of fields.
+
+        Returns
+        -------
+        Scenario
+            The new scenario.
+        """
+        changed = super().replaced(**changes)
+        object.__setattr__(changed, '_learned', self._learned)
+        return changed
 
     @property
     def speed_key(self) -> str:
@@ -375,6 +374,6 @@ def _with_model(path: Path, scenario: Scenario, model: Model) -> Scenario:
             path, f"'reference_field_mT': expected {model.reference_field * 1e3:g}, as in "
             f'{scenario.model}', line_of(path, 'reference_field_mT'))
     found = write_effects(model.effects)
-    changed = scenario.model_copy(update={'effects': found | scenario.effects})
-    changed._learned = model.learned
+    changed = scenario.replaced(effects=found | scenario.effects)
+    object.__setattr__(changed, '_learned', model.learned)
     return changed

@@ -107,6 +107,7 @@ def strays(scenario: Scenario, particles: ParticleParameters, session: Session) 
 
 def starting_places(
     scenario: Scenario, count: int, rng: np.random.Generator, source: str,
+    drawn: bool = False,
 ) -> np.ndarray:
     """Return initial positions (`count`, 2) [m] of a `scenario`: as listed, else drawn by `rng`.
 
@@ -122,13 +123,15 @@ def starting_places(
         Source of random numbers.
     source : str
         Name of the scenario, for messages.
+    drawn : bool
+        Whether to draw them even if some are listed.
 
     Returns
     -------
     ndarray, shape (N, 2)
         Positions [m].
     """
-    if scenario.particles:
+    if scenario.particles and not drawn:
         return np.array([(p.x_um, p.y_um) for p in scenario.particles]) * 1e-6
     try:
         return scatter(rng, count, scenario.spread_um * 1e-6, 3 * scenario.radius)

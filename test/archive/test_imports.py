@@ -1,13 +1,16 @@
 """Importing a laboratory's folder: options where they belong, counts that count, kinds apart."""
 
 import json
+import re
 from dataclasses import replace
+from datetime import date
 
 import numpy as np
 import pytest
 import yaml
 from click.testing import Result
 from command_line import runner
+from matplotlib.collections import PolyCollection
 
 from microbot_ros import cli
 from microbot_ros.archive import Archive, conclude
@@ -15,6 +18,8 @@ from microbot_ros.archive.imports import imported
 from microbot_ros.archive.labels import labels_of, own_answers, stated
 from microbot_ros.archive.quantities import of_sessions, unlike_the_others
 from microbot_ros.archive.recordings import Found
+from microbot_ros.archive.recurring import Recurring
+from microbot_ros.archive.report import draw_quantities, page
 from microbot_ros.common.errors import InputError
 from microbot_ros.session import read_session
 
@@ -163,3 +168,41 @@ def test_kinds_are_compared_each_with_its_own(tmp_path):
                     'or a wrong pixel size can cause that.']
     assert [part.of_kind for part in whole.by_kind()] == ['fast', 'slow']
     assert len(of_sessions('v_um_s', [{'session': 'a'}], value[:1], value[:1]).by_kind()) == 1
+
+
+def test_the_page_compares_kinds_each_with_its_own(tmp_path):
+    """The mean over fast and slow robots is that of no robot."""
+    value = np.array([10.0, 10.2, 9.9, 30.0, 30.5, 29.7, 20.0])
+    rows = [{'session': f's{k}', 'day': date(2026, 3, 1 + k % 2),
+             **({'particle_kind': 'slow' if k < 3 else 'fast'} if k < 6 else {})}
+            for k in range(7)]
+    whole = of_sessions('gain_um_s_hz', rows, value, np.full(7, 0.2))
+    assert whole.kinds() == [('fast', [3, 4, 5]), ('slow', [0, 1, 2]), ('', [6])]
+    found = replace(conclude(Archive(tmp_path)), quantities=[whole])
+    text = re.sub(r'<[^>]+>', ' ', page(Archive(tmp_path), found))
+    table = ' '.join(text.split()).split('typical error of one ')[1]
+    assert re.match(r'gain \(µm/s/Hz\) fast 3 30\.1 .* gain \(µm/s/Hz\) slow 3 10\.0', table)
+    assert 'gain (µm/s/Hz) of fast by day' in text
+    assert 'particle kind' not in text
+    # A band for each kind, and none over all.
+    figure = draw_quantities([whole])
+    bands = [band.get_paths()[0].get_extents() for band in figure.axes[0].collections
+             if isinstance(band, PolyCollection)]
+    assert [(round(one.x0, 1), round(one.x1, 1)) for one in bands] == [
+        (0.6, 3.4), (3.6, 6.4), (6.6, 7.4)]
+
+
+def test_the_page_gives_the_parameters_of_an_effect_for_each_kind(tmp_path):
+    value, error = np.array([0.10, 0.11, 0.10, 0.14, 0.15, 0.14]), np.full(6, 0.01)
+    rows = [{'session': f's{k}', 'particle_kind': 'dimers' if k < 3 else 'spheres'}
+            for k in range(6)]
+    known = of_sessions('command_delay.delay_s', rows, value, error)
+    effect = Recurring('command_delay', {f's{k}': 1.0 for k in range(6)}, (),
+                       {'delay_s': known.spread}, {})
+    assert replace(effect, probability={'s0': 1.0}).sentence() == \
+        'command_delay in the only session.'
+    found = replace(conclude(Archive(tmp_path)), effects=[effect],
+                    parameters={'command_delay': [known]})
+    text = ' '.join(re.sub(r'<[^>]+>', ' ', page(Archive(tmp_path), found)).split())
+    assert re.search(r'delay \(s\) 0\.12\d? .* delay of dimers 0\.10\d? .* delay of spheres 0\.14',
+                     text)

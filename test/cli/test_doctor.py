@@ -62,7 +62,7 @@ def test_what_a_missing_watchdog_means_is_said(tmp_path, coil_driver, level, sen
 def test_whose_coils_a_rig_is_driven_by_is_said_and_that_they_can_be(tmp_path):
     coils, rig = tmp_path / 'coils.yaml', tmp_path / 'rig.yaml'
     rig.write_text(f'coil_driver:\n  ros__parameters:\n    coils_file: {coils}\n')
-    section = CoilSettings().model_dump(mode='json', exclude_none=True)
+    section = CoilSettings().content('not none')
     coils.write_text(yaml.safe_dump({'coils': section}))
     assert (_rig(rig).level, _rig(rig).detail) == (
         'ok', f'{rig}: coil_driver; coils of {coils}: 4, for fields along xy')

@@ -43,6 +43,7 @@ def test_named_with_parameters_and_the_gap_shrinks(film):
     assert effect.log_evidence > 50
     assert found.gap.before > 0.4e-6
     assert found.gap.after < 0.5 * found.gap.before
+    assert found.learned == () == found.model.learned
     assert any(m.fires for m in found.maps_before)
     assert not any(m.fires for m in found.maps_after)
 

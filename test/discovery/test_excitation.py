@@ -72,12 +72,14 @@ def test_rollers_burn_no_fuel(film):
     assert EFFECTS['speed_decay'].applies(FitEvidence(fitted(film(31, duration=15.0)[0])))
 
 
+@pytest.mark.parametrize('rest', [0, 900])
 @pytest.mark.parametrize(('width', 'seen'), [(19e-6, False), (21e-6, True), (np.nan, False)])
-def test_a_spot_that_is_passed_within_four_frames_is_a_step(width, seen):
-    """However sure its place and its width are."""
+def test_a_spot_that_is_passed_within_four_frames_is_a_step(width, seen, rest):
+    """However sure its place and its width are, and however long the particle rests there."""
     row = np.cumsum(np.full((60, 1, 2), [8e-6, 6e-6]), axis=0) - [240e-6, 180e-6]
     row[5] = np.nan
-    positions = np.concatenate([row, row[::-1], row])
+    still = np.random.default_rng(0).normal(0, 1e-7, (rest, 1, 2))
+    positions = np.concatenate([row, row[::-1], row, row[::-1][:30], still])
     evidence = SimpleNamespace(
         recordings=[SimpleNamespace(positions=positions)],
         deviations=lambda _: dict.fromkeys(('x', 'y', 'speed', 'width'), 0.0))

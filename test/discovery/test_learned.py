@@ -44,9 +44,14 @@ def channel_fixture(film):
     return baseline(session)
 
 
+@pytest.fixture(name='first', scope='module')
+def first_fixture(channel):
+    return learn_term(channel)
+
+
 @pytest.fixture(name='findings', scope='module')
-def findings_fixture(channel):
-    return learn_terms(channel, learn_term(channel))
+def findings_fixture(channel, first):
+    return learn_terms(channel, first)
 
 
 def moments_of(fit, against, acts_on):
@@ -83,7 +88,7 @@ def test_where_nothing_is_missing_nothing_is_learned(film, seed):
     assert learn_term(baseline(session)) is None
 
 
-def test_the_order_of_rows_does_not_matter(film):
+def test_the_order_of_rows_does_not_matter(film, first):
     session, _ = film(3, CHANNEL, count=4, duration=40.0)
     t = session.tracks
     order = np.random.default_rng(1).permutation(len(t.t))
@@ -91,8 +96,7 @@ def test_the_order_of_rows_does_not_matter(film):
                     **{k: getattr(t, k)[order] for k in ('heading', 'sigma')
                        if hasattr(t, k)})
     other = learn_term(baseline(Session(mixed, session.commands, session.conditions)))
-    np.testing.assert_allclose(other.curve.mean, learn_term(
-        baseline(session)).curve.mean, atol=1e-12)
+    np.testing.assert_allclose(other.curve.mean, first.curve.mean, atol=1e-12)
 
 
 # Curve ------------------------------------------------------------------------------------------
@@ -222,13 +226,6 @@ def test_the_verdict_stays_unnamed_and_the_gap_shrinks(found):
 def test_its_model_comes_back_from_model_yaml(found, tmp_path):
     write_model(tmp_path / 'model.yaml', found.model, found.particles)
     assert read_model(tmp_path / 'model.yaml')[0] == found.model
-
-
-def test_a_hidden_effect_of_the_library_is_named_and_nothing_learned(film):
-    session, _ = film(5, {'uniform_drift': {'wx_um_s': 0.6, 'wy_um_s': -0.2}})
-    found = discover([session])
-    assert found.verdict == 'named'
-    assert found.learned == () == found.model.learned
 
 
 def test_a_flow_is_told_as_arrows_where_data_were():

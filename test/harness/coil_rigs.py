@@ -26,6 +26,6 @@ def scattered(seed: int, count: int, axes: str = 'xyz', background: float = 0.05
             'axis': outward + rng.normal(0, 0.2, 3), 'radius_mm': rng.uniform(15, 30),
             'turns': int(rng.integers(300, 900)), 'resistance_ohm': rng.uniform(1, 6),
             'max_current_A': rng.uniform(1, 4), 'sign': int(rng.choice([-1, 1]))})
-    return CoilSet(CoilSettings.model_validate({
+    return CoilSet(CoilSettings.from_content({
         'windings': windings, 'axes': axes,
         'background_mT': rng.uniform(-background, background, len(axes))}))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import sys
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,6 +19,12 @@ CONFIG = ROOT / 'config'
 CACHE = Path(os.environ.setdefault('NUMBA_CACHE_DIR', str(
     Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache') / 'microbot_ros' / 'numba')))
 """Where the tests and the benchmarks keep compiled code."""
+
+LATE = 'numpy' in sys.modules and 'OMP_NUM_THREADS' not in os.environ
+"""Whether something, as a plugin of pytest, has imported numpy before its threads are limited."""
+# As the program `microbot` does: several threads for matrices of a hundred rows take four times
+# the processor time. OpenBLAS reads this when numpy is imported.
+os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 FILM = """
 duration_s: 8

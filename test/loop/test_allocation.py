@@ -19,7 +19,7 @@ vectors = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array).filter(
 @pytest.fixture(scope='module')
 def six(tmp_path_factory):
     file = tmp_path_factory.mktemp('coils') / 'coils.yaml'
-    file.write_text(yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
+    file.write_text(yaml.safe_dump({'coils': three_pairs().content()}))
     return AllocationStage(GateParameters(coils_file=str(file)))
 
 

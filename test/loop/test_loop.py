@@ -164,7 +164,7 @@ def asking(made: Loop, outcome: Outcome) -> Loop:
 
 def coils(folder: Path, found: CoilSettings) -> str:
     file = folder / 'coils.yaml'
-    file.write_text(yaml.safe_dump(found.model_dump(mode='json')))
+    file.write_text(yaml.safe_dump(found.content()))
     return str(file)
 
 

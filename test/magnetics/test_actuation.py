@@ -112,7 +112,7 @@ def test_every_field_of_the_eight_coils_bears_every_pull():
 def test_a_moment_needs_a_field_and_the_background_is_taken_off():
     with pytest.raises(ValueError, match='not zero'):
         Allocator(CoilSet(EIGHT)).actuate((0, 0, 0), (1e-3, 0, 0))
-    coils = CoilSet(EIGHT.model_copy(update={'background_mT': (0.05, -0.02, 0.04)}))
+    coils = CoilSet(EIGHT.replaced(background_mT=(0.05, -0.02, 0.04)))
     field, pull = drawn(3)
     for scale in (1, 100):
         found = Allocator(coils).actuate(scale * field, scale * pull)

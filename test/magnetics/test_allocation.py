@@ -17,7 +17,7 @@ magpylib = pytest.importorskip('magpylib')
 def rig(seed: int, background: float = 0.1) -> CoilSet:
     """A rig as real ones are: gains 38 % apart, signs, limits, poses that are not perfect."""
     rng = np.random.default_rng(seed)
-    content = CoilSettings().model_dump(exclude_none=True)
+    content = CoilSettings().content('not none')
     for winding in content['windings']:
         winding.update(
             gain=rng.uniform(0.8, 1.1), sign=int(rng.choice([-1, 1])),
@@ -25,7 +25,7 @@ def rig(seed: int, background: float = 0.1) -> CoilSet:
             position_mm=winding['position_mm'] + rng.normal(0, 0.5, 3),
             axis=winding['axis'] + rng.normal(0, 0.05, 3))
     content['background_mT'] = rng.uniform(-background, background, 2)
-    return CoilSet(CoilSettings.model_validate(content))
+    return CoilSet(CoilSettings.from_content(content))
 
 
 def direction(angle: float) -> np.ndarray:
@@ -145,11 +145,11 @@ def test_background_beyond_the_coils_and_coils_in_line_are_refused():
     settings_ = CoilSettings(background_mT=(9.0, 0.0))
     with pytest.raises(InputError, match='background_mT: expected a field that the coils can'):
         Allocator(CoilSet(settings_))
-    content = CoilSettings().model_dump(exclude_none=True)
+    content = CoilSettings().content('not none')
     for k, winding in enumerate(content['windings']):
         winding.update(position_mm=(30 + k, 0, 0), axis=(1, 0, 0))
     with pytest.raises(InputError, match='every field direction'):
-        Allocator(CoilSet(CoilSettings.model_validate(content)))
+        Allocator(CoilSet(CoilSettings.from_content(content)))
     with pytest.raises(InputError, match='every field direction'):
         Allocator(CoilSet(), (30e-3, 20e-3, 0))  # on a wire
 

@@ -191,14 +191,14 @@ def test_two_components_lie_in_the_plane_and_two_axes_know_no_third():
 
 
 def test_fewer_axes_than_the_coils_can_make_are_had_by_asking():
-    coils = CoilSet(SIX.model_copy(update={'axes': 'xy', 'background_mT': (0.1, 0.2, 0.3)}))
+    coils = CoilSet(SIX.replaced(axes='xy', background_mT=(0.1, 0.2, 0.3)))
     assert coils.axes == 2
     np.testing.assert_allclose(coils.background, (1e-4, 2e-4))
     found = Allocator(coils).allocate((1e-3, 0))
     np.testing.assert_array_equal(found.currents[4:], 0)
-    in_space = CoilSet(SIX.model_copy(update={'background_mT': (0.1, 0.2)}))
+    in_space = CoilSet(SIX.replaced(background_mT=(0.1, 0.2)))
     np.testing.assert_allclose(in_space.background, (1e-4, 2e-4, 0))
-    assert CoilSet(SIX.model_copy(update={'axes': None})).axes == 3
+    assert CoilSet(SIX.replaced(axes=None)).axes == 3
     assert CoilSet(CoilSettings(windings=SIX.windings[:4])).axes == 2
 
 
@@ -212,13 +212,13 @@ def test_the_direction_that_coils_cannot_make_is_named():
     no_y = [winding for winding in SIX.windings if winding.name[-1] != 'y']
     assert refused(CoilSettings(windings=no_y, axes='xyz')).endswith('along y (0.00, 1.00, 0.00)')
     assert refused(CoilSettings(windings=no_y, axes='xy')).endswith('along y (0.00, 1.00, 0.00)')
-    tilted = [winding.model_copy(update={'axis': (1, 1, 0), 'position_mm': (k, k, 0)})
+    tilted = [winding.replaced(axis=(1, 1, 0), position_mm=(k, k, 0))
               for k, winding in zip((30, -30), CoilSettings().windings[:2], strict=True)]
     assert refused(CoilSettings(windings=tilted)).endswith('no field along (0.71, -0.71, 0.00)')
     assert 'at least 3 coils for 3 axes, found 2' in refused(
         CoilSettings(windings=SIX.windings[1:3], axes='xyz'))
     assert 'background_mT: expected a field that the coils can cancel' in refused(
-        SIX.model_copy(update={'background_mT': (0, 0, 9.5)}))
+        SIX.replaced(background_mT=(0, 0, 9.5)))
 
 
 def test_largest_current_is_that_of_the_worst_direction_in_space():

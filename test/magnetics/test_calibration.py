@@ -98,7 +98,7 @@ def test_command_writes_a_section_that_predicts_the_readings(tmp_path):
     assert sorted(item.name for item in out.iterdir()) == [
         'calibration.json', 'calibration.png', 'coils.yaml']
     section = yaml.safe_load((out / 'coils.yaml').read_text())['coils']
-    coils = CoilSet(CoilSettings.model_validate(section))
+    coils = CoilSet(CoilSettings.from_content(section))
     values = rows(seed=1)
     predicted = [1e3 * coils.field(row[:4], 1e-3 * row[None, 4:7])[0] for row in values]
     left = values[:, 7:9] - np.array(predicted)[:, :2] - 1e3 * coils.background
@@ -176,7 +176,7 @@ def run(*arguments):
 
 def test_it_starts_from_the_coils_that_a_rig_names_and_says_so(tmp_path):
     readings, rig = write(tmp_path / 'readings.csv', rows()), tmp_path / 'rig.yaml'
-    known = CoilSettings().model_dump(mode='json', exclude_none=True)
+    known = CoilSettings().content('not none')
     known['windings'][0]['turns'] = 500
     coils = tmp_path / 'known.yaml'
     rig.write_text(yaml.safe_dump({

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pydantic
 import pytest
 import yaml
 from coil_rigs import CONFIG
 
+from microbot_ros.common.checked import Settings, SettingsError
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.files import Settings, read_yaml
+from microbot_ros.common.files import read_yaml
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 from microbot_ros.nodes.configuration import read_rig
 
@@ -20,7 +20,7 @@ class Rig(Settings):
 
 def windings(**changes: object) -> list[dict]:
     """The default rig's windings as people write them, the second one changed."""
-    content = CoilSettings().model_dump(mode='json', exclude_none=True)['windings']
+    content = CoilSettings().content('not none')['windings']
     content[1] = {key: value for key, value in {**content[1], **changes}.items()
                   if value is not None}
     return content
@@ -53,7 +53,7 @@ def test_currents_superpose():
 def test_gain_and_sign_scale_one_coil():
     plain = CoilSet().field_per_ampere(POINTS)
     content = {'windings': windings(gain=0.62, sign=-1), 'background_mT': (0.02, -0.045)}
-    changed = CoilSet(CoilSettings.model_validate(content))
+    changed = CoilSet(CoilSettings.from_content(content))
     factor = np.array([1, -0.62, 1, 1])[:, None, None]
     np.testing.assert_allclose(changed.field_per_ampere(POINTS), factor * plain, rtol=1e-13)
     np.testing.assert_allclose(changed.background, (2e-5, -4.5e-5))
@@ -64,7 +64,7 @@ def test_coil_wound_on_a_polygon_approaches_the_round_one():
     # Counterclockwise about +x: from y to z.
     corners = 20 * np.column_stack([0 * angles, np.cos(angles), np.sin(angles)])
     content = windings(vertices_mm=corners.tolist(), radius_mm=None, axis=None)
-    polygon = CoilSet(CoilSettings.model_validate({'windings': content}))
+    polygon = CoilSet(CoilSettings.from_content({'windings': content}))
     np.testing.assert_allclose(
         polygon.actuation_matrix()[:, 1], CoilSet().actuation_matrix()[:, 1], rtol=2e-4, atol=1e-9)
 
@@ -105,14 +105,14 @@ def test_coils_that_cannot_be_are_named_with_their_line(change, complaint, tmp_p
 def test_too_few_and_too_many_coils(count):
     many = [{**windings()[0], 'name': f'coil_{k}', 'position_mm': (0, 30 + k, 0)}
             for k in range(count)]
-    with pytest.raises(pydantic.ValidationError, match=f'expected 2 to 16 coils, found {count}'):
-        CoilSettings.model_validate({'windings': many})
+    with pytest.raises(SettingsError, match=f'expected 2 to 16 coils, found {count}'):
+        CoilSettings.from_content({'windings': many})
 
 
 def test_settings_round_trip_through_yaml(tmp_path):
     path = tmp_path / 'rig.yaml'
-    coils = CoilSettings.model_validate({'windings': windings(gain=1.07, sign=-1)})
-    path.write_text(yaml.safe_dump({'coils': coils.model_dump(mode='json', exclude_none=True)}))
+    coils = CoilSettings.from_content({'windings': windings(gain=1.07, sign=-1)})
+    path.write_text(yaml.safe_dump({'coils': coils.content('not none')}))
     assert read_yaml(path, Rig).coils == coils
 
 

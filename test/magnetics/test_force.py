@@ -45,9 +45,9 @@ def test_force_takes_the_slope_along_the_moment():
 
 
 def test_moment_follows_the_whole_field_background_included():
-    content = CoilSettings().model_dump(exclude_none=True)
+    content = CoilSettings().content('not none')
     content['windings'][0]['gain'] = 0.62
-    coils = CoilSet(CoilSettings.model_validate({**content, 'background_mT': (1.5, -2)}))
+    coils = CoilSet(CoilSettings.from_content({**content, 'background_mT': (1.5, -2)}))
     particle, speeds = MagneticParticle(), []
     for angle in np.radians(np.arange(0, 360, 5)):
         # At the centre the whole field is the wanted one, so the moment points along it.
@@ -90,9 +90,9 @@ def test_force_grows_with_moment_and_field():
 
 
 def test_uneven_coils_drag_even_at_the_centre():
-    content = CoilSettings().model_dump(exclude_none=True)
+    content = CoilSettings().content('not none')
     content['windings'][0]['gain'] = 0.62
-    coils = CoilSet(CoilSettings.model_validate(content))
+    coils = CoilSet(CoilSettings.from_content(content))
     assert negligible_radius(coils, 1e-3) == 0
     assert negligible_radius(coils, 1e-3, MagneticParticle(magnetisation=1.0), within=2e-3) == 2e-3
 

@@ -13,6 +13,7 @@ from coil_rigs import EIGHT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.constants import mu_0
+from scipy.interpolate import make_interp_spline
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import read_yaml
@@ -30,7 +31,7 @@ LOOP = Loop(0.02, (0.03, 0, 0), (1, 0, 0), 400)
 
 def windings(**changes: object) -> list[dict]:
     """The default rig's windings as people write them, the round wire of the second replaced."""
-    content = CoilSettings().model_dump(mode='json', exclude_none=True)['windings']
+    content = CoilSettings().content('not none')['windings']
     round_wire = {'axis', 'radius_mm', 'turns'}
     content[1] = {key: value for key, value in content[1].items() if key not in round_wire}
     content[1] |= {key: value for key, value in changes.items() if value is not None}
@@ -38,7 +39,7 @@ def windings(**changes: object) -> list[dict]:
 
 
 def coils_of(**changes: object) -> CoilSet:
-    return CoilSet(CoilSettings.model_validate({'windings': windings(**changes)}))
+    return CoilSet(CoilSettings.from_content({'windings': windings(**changes)}))
 
 
 def places(step: float = 1e-3, reach: float = 4e-3) -> tuple[np.ndarray, ...]:
@@ -131,6 +132,26 @@ def test_a_map_has_the_field_of_what_was_sampled_and_its_own_gradient():
                                rtol=1e-12, atol=1e-18)
 
 
+def test_a_map_is_the_splines_along_its_axes_one_after_the_other():
+    rng = np.random.default_rng(1)
+    grid = tuple(np.cumsum(rng.uniform(0.5e-3, 2e-3, count)) - 4e-3 for count in (9, 3, 6))
+    field = rng.normal(size=(9, 3, 6, 3))
+    found = FieldMap(grid, field)
+    low, high = (np.array([along[end] for along in grid]) for end in (0, -1))
+    points = np.vstack([rng.uniform(low, high, (30, 3)), low, high])
+    for orders in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)):
+        expected = []
+        for point in points:
+            values = field
+            for along, x, order in zip(grid, point, orders, strict=True):
+                values = make_interp_spline(along, values, min(3, len(along) - 1))(x, nu=order)
+            expected.append(values)
+        actual = (found.gradient_per_ampere(points)[..., orders.index(1)] if any(orders)
+                  else found.field_per_ampere(points))
+        np.testing.assert_allclose(actual, expected, rtol=1e-9,
+                                   atol=1e-12 * np.abs(expected).max())
+
+
 def test_outside_a_map_there_is_no_field():
     found = FieldMap(places(), sampled(LOOP, places()))
     outside = [[4.1e-3, 0, 0], [0, 0, -5e-3], [np.nan, 0, 0], [0, np.inf, 0]]
@@ -175,7 +196,7 @@ def test_table_and_arrays_are_the_same_map_in_any_order_beside_the_file_of_coils
             POINTS + np.array([0.5e-3, -1e-3, 1e-3]))
         np.testing.assert_allclose(moved[1], coils.field_per_ampere(POINTS)[1], rtol=1e-9)
         # What is written elsewhere finds the map again.
-        elsewhere = read_yaml(path, CoilSettings).model_dump(mode='json', exclude_none=True)
+        elsewhere = read_yaml(path, CoilSettings).content('not none')
         assert Path(elsewhere['windings'][1]['field_map']) == tmp_path / 'maps' / name
 
 
@@ -269,9 +290,9 @@ def test_saturations_that_do_not_rise(points):
 
 def test_a_core_that_saturates_is_driven_harder_up_to_its_limit_in_amperes():
     curve = [(0.5, 0.5), (1.0, 0.95), (1.5, 1.3), (2.0, 1.5)]
-    content = CoilSettings().model_dump(mode='json', exclude_none=True)['windings']
+    content = CoilSettings().content('not none')['windings']
     content[1]['saturation'] = curve
-    coils, plain = CoilSet(CoilSettings.model_validate({'windings': content})), CoilSet()
+    coils, plain = CoilSet(CoilSettings.from_content({'windings': content})), CoilSet()
     allocator = Allocator(coils)
     for wanted in ((1e-3, 0), (4e-3, 2e-3), (-5.5e-3, 0)):
         found = allocator.allocate(wanted)

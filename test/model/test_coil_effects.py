@@ -65,7 +65,7 @@ def test_gradient_force_is_that_of_the_rig_up_to_the_square_of_the_distance(radi
 def test_gradient_force_has_no_scale_but_the_coils_that_are_like_each_other():
     """Where the y pair stands further off, a differs: the one M is 10 to 18 % off."""
     settings = CoilSettings()
-    far = tuple(w.model_copy(update={'position_mm': (0.0, w.position_mm[1] * 4 / 3, 0.0)})
+    far = tuple(w.replaced(position_mm=(0.0, w.position_mm[1] * 4 / 3, 0.0))
                 if w.position_mm[1] else w for w in settings.windings)
     coils = CoilSet(CoilSettings(windings=far))
     x, y = curvature(coils, 0), curvature(coils, 1)

@@ -93,8 +93,8 @@ effects:
     ('  speed_decay: {tau_s: .nan}', 7, r'speed_decay\.tau_s'),
     ('  speed_decay: {tau_s: -.inf}', 7, r'speed_decay\.tau_s'),
     ('  alignment_lag: {tau_s: -0.1}', 7, r'tau_s.*greater than or equal to 0'),
-    ('  uniform_drift:', 7, r'uniform_drift.*dictionary'),
-    ('  uniform_drift: 3', 7, r'uniform_drift.*dictionary'),
+    ('  uniform_drift:', 7, r'uniform_drift.*mapping'),
+    ('  uniform_drift: 3', 7, r'uniform_drift.*mapping'),
 ])
 def test_a_bad_effect_is_named_with_its_line(tmp_path, more, line, message):
     path = tmp_path / 'model.yaml'
@@ -127,8 +127,8 @@ def test_every_limit_holds_and_nothing_beyond_it_is_read(tmp_path, name):
     (BASE.replace('v_um_s: 3, ', ''), "expected 'v_um_s' of each catalytic particle"),
     (BASE.replace('v_um_s', 'gain_um_s_hz'), "expected 'v_um_s' of each catalytic particle"),
     ('propulsion: rolling\n' + BASE, "expected 'gain_um_s_hz' of each rolling particle"),
-    ('propulsion: flying\n' + BASE, "propulsion.*'catalytic' or 'rolling'"),
-    (BASE.replace('id: 0', 'id: 0.5'), r'particles\.0\.id.*integer'),
+    ('propulsion: flying\n' + BASE, 'propulsion.*one of: catalytic, rolling'),
+    (BASE.replace('id: 0', 'id: 0.5'), r'particles\.0\.id.*whole number'),
     (BASE.replace('phi_rad: 0.1}', 'phi_rad: 0.1}\n  - {id: 0, v_um_s: 1, phi_rad: 0}'),
      'different ids'),
     ('effects: [\n', 'YAML'),

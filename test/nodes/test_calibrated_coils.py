@@ -26,7 +26,7 @@ PLACES_MM = [(0, 0, 0), (3, 0, 0), (0, 3, 0), (-2, 2, 1)]
 
 def _other_coils() -> dict[str, Any]:
     """Not the default's: smaller and nearer, and the y pair with fewer turns."""
-    content = CoilSettings().model_dump(mode='json', exclude_none=True)
+    content = CoilSettings().content('not none')
     for winding in content['windings']:
         along_y = winding['name'].endswith('y')
         winding |= {'radius_mm': 12.0, 'turns': 150 if along_y else 220, 'position_mm': [
@@ -71,7 +71,7 @@ def _rig(folder: Path, emulator: Any, coils: Path | None) -> Path:
 @pytest.mark.parametrize('default', [True, False])
 def test_a_rig_is_driven_by_what_was_calibrated(
         ros: Any, tmp_path: Path, emulator: Any, default: bool) -> None:
-    content = (CoilSettings().model_dump(mode='json', exclude_none=True) if default
+    content = (CoilSettings().content('not none') if default
                else _other_coils())
     readings, out, known = tmp_path / 'readings.csv', tmp_path / 'out', tmp_path / 'known.yaml'
     _measure(readings, content)

@@ -352,6 +352,24 @@ def test_to_cancel_is_never_refused(ros: Any) -> None:
     loop.graph.until(lambda: len(loop.node.stage.goals) == 0)
 
 
+def test_a_goal_is_accepted_followed_and_cancelled_as_an_action_is(ros: Any) -> None:
+    loop = Loop(ros, controller='waypoint', delay_ms=0.0)
+    told = loop.graph.hear(DiagnosticStatus, 'controller/progress')
+
+    def values() -> dict[str, str]:
+        return {pair.key: pair.value for pair in told[-1].values} if told else {}
+    loop._goals.publish(messages.poses(
+        np.array([(50e-6, 0.0)]), np.zeros(1), messages.to_stamp(3.5)))
+    loop.graph.until(lambda: loop.keep_seeing() or (
+        'distance_um' in values() and bool(loop.fields) and loop.strength() > 1e-3))
+    assert values()['goals_stamp_s'] == '3.5'
+    assert float(values()['distance_um']) == pytest.approx(50, abs=1)
+    assert values()['done'] == 'False'
+    loop.go()
+    loop.graph.until(lambda: loop.keep_seeing() or values()['goals'] == '0')
+    loop.graph.until(lambda: loop.keep_seeing() or loop.strength() == 0)
+
+
 def test_the_list_of_controllers_tells_what_each_takes(ros: Any) -> None:
     loop = Loop(ros)
     listed = conforming('controller/list_controllers', loop.graph.call(

@@ -287,6 +287,7 @@ def test_beside_a_live_coil_driver_a_replay_is_refused_and_drives_nothing(
         graph, monkeypatch, past(tmp_path / 'again'), '--topic', 'field/command',
         '--into-live-rig')
     assert (status, errors) == (0, [])
+    graph.until(lambda: len(fields) >= 90)
     assert len(fields) == 90
 
 

@@ -33,7 +33,7 @@ def emulator_options() -> dict[str, Any]:
 def graph(emulator: Any, ros: Any, tmp_path: Path) -> Any:
     """A coil driver for it, armed, and who commands it."""
     coils = tmp_path / 'coils.yaml'
-    coils.write_text(yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
+    coils.write_text(yaml.safe_dump({'coils': three_pairs().content()}))
     made = ros({'coil_driver': {'port': emulator.url, 'coils_file': str(coils)}})
     made.due = 0.0
     assert made.add('coil_driver').active
@@ -108,7 +108,7 @@ def test_what_is_no_number_is_zero(
 def test_a_controller_answers_in_three_axes(emulator: Any, ros: Any, tmp_path: Path) -> None:
     """By `manual`: a field that stands upright, then one whose axis is tilted (γ = 30°)."""
     coils = tmp_path / 'coils.yaml'
-    coils.write_text(yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
+    coils.write_text(yaml.safe_dump({'coils': three_pairs().content()}))
     rig = ros({'coil_driver': {'port': emulator.url, 'coils_file': str(coils)},
                'controller': {'manual.field_mT': 3.0, 'manual.gamma_deg': 0.0}})
     driver, controller = rig.add('coil_driver'), rig.add('controller')

@@ -110,9 +110,9 @@ def test_coils_pull_as_they_are_wired_and_what_is_no_coil_does_not():
     place, skew = np.array([2e-4, -1e-4]), 0.3
     lean = {'axis': (math.sin(skew), math.cos(skew), 0.0)}
     windings = tuple(
-        w.model_copy(update={
-            'position_mm': tuple(w.position_mm[1] * np.array(lean['axis'])),
-            'axis': tuple(math.copysign(1, w.position_mm[1]) * np.array(lean['axis']))})
+        w.replaced(
+            position_mm=tuple(w.position_mm[1] * np.array(lean['axis'])),
+            axis=tuple(math.copysign(1, w.position_mm[1]) * np.array(lean['axis'])))
         if w.position_mm[1] else w for w in CoilSettings().windings)
     leaning = CoilSet(CoilSettings(windings=windings))
     made = np.array([FIELD - 1e-3, 0.8 * (FIELD - 1e-3)])

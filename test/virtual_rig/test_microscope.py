@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
+from microbot_ros.common.checked import SettingsError
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 CLEAN = {'vignette': 0, 'slope': 0, 'specks': 0, 'smudges': 0, 'drifting': 0}
@@ -105,7 +105,7 @@ def test_drifting_debris_moves_and_the_rest_stays():
 
 
 def test_no_setting_may_be_nan_or_out_of_range():
-    for name in MicroscopeSettings.model_fields:
+    for name in MicroscopeSettings.names():
         for bad in (np.nan, np.inf, -np.inf, -1):
-            with pytest.raises(ValidationError, match=name):
+            with pytest.raises(SettingsError, match=name):
                 MicroscopeSettings(**{name: bad})

@@ -9,17 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import click
-import pydantic
 
 from microbot_ros.cli.calibrate.camera import camera
+from microbot_ros.common.checked import Settings
 from microbot_ros.magnetics.settings import CoilSettings
 
 
-class _AnyFile(pydantic.RootModel[dict[str, Any]]):
-    pass
-
-
-class _Section(pydantic.BaseModel):
+class _Section(Settings, others=True):
     """Section `coils` of a file whose other content is ignored."""
 
     coils: CoilSettings
@@ -84,7 +80,7 @@ def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) 
     settings, origin = _known_coils(config)
     tracks = source.is_dir() or source.suffix == '.mcap'
     found = (_from_tracks if tracks else _from_readings)(source, settings)
-    section = found.settings.model_dump(mode='json', exclude_none=True)
+    section = found.settings.content('not none')
     result = json.dumps(found.summary, indent=1, ensure_ascii=False) + '\n'
     with output_folder(out) as folder:
         write_text(folder / 'coils.yaml', yaml.safe_dump({'coils': section}, sort_keys=False))
@@ -106,10 +102,10 @@ def _known_coils(config: Path | None) -> tuple[CoilSettings, str]:
 
     if config is None:
         return CoilSettings(), 'the coils of the default rig'
-    keys = set(read_yaml(config, _AnyFile).root)
+    keys = set(read_yaml(config, dict[str, Any]))
     if 'coils' in keys:
         return read_yaml(config, _Section).coils, f'the coils of {config}'
-    if keys & set(CoilSettings.model_fields):
+    if keys & set(CoilSettings.names()):
         return read_yaml(config, CoilSettings), f'the coils of {config}'
     if 'coil_driver' not in keys:
         raise InputError(config, 'expected coils, with a key coils or windings, or the file of a '

@@ -73,7 +73,7 @@ def rolling(folder: Path) -> Robots:
         The robots.
     """
     coils, model = folder / 'coils.yaml', folder / 'model.yaml'
-    write_text(coils, yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
+    write_text(coils, yaml.safe_dump({'coils': three_pairs().content()}))
     write_model(model, Model(_FIELD_T, 'rolling'),
                 ParticleParameters(np.empty(0, int), np.empty(0), np.empty(0)))
     return Robots('roller', 3.0, 'µm/s/Hz', {
@@ -97,7 +97,7 @@ def three_pairs() -> CoilSettings:
         The coils.
     """
     plane = CoilSettings()
-    above = [Winding.model_validate({
-        **plane.windings[0].model_dump(), 'name': name, 'position_mm': (0.0, 0.0, z),
+    above = [Winding.from_content({
+        **plane.windings[0].content(), 'name': name, 'position_mm': (0.0, 0.0, z),
         'axis': (0.0, 0.0, z)}) for name, z in (('coil_plus_z', 30.0), ('coil_minus_z', -30.0))]
     return CoilSettings(windings=(*plane.windings, *above))

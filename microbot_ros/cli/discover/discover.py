@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -63,9 +62,6 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
       microbot discover --live --seconds 60 --out out/live
       microbot discover --drive --minutes 6 --out out/driven
     """
-    # For such small matrices several threads only waste power: five times the processor
-    # time, none left for other jobs. OpenBLAS reads this when it is loaded.
-    os.environ.setdefault('OMP_NUM_THREADS', '1')
     from rich.console import Console
 
     from microbot_ros.session import read_session

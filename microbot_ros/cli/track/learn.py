@@ -241,7 +241,7 @@ def look(
     said: list[str] = []
     if like and colour is None and not settings.kinds:
         colour, said = _telling_colour(like, unlike, named)
-        settings = settings.model_copy(update={'colour': colour})
+        settings = settings.replaced(colour=colour)
     view = View(colour, interlaced(samples))
     if view.interlaced:
         report(f'{source}: its images are interlaced (every other row shows another moment); only '
@@ -277,7 +277,7 @@ def write_learned(folder: Path, settings: TrackerSettings, image: np.ndarray) ->
     from microbot_ros.common.files import write_text
     from microbot_ros.tracking.teach.kinds_figure import write_kinds_figure
 
-    content = settings.model_dump(mode='json', exclude_defaults=True)
+    content = settings.content('changed')
     write_text(folder / 'learned.yaml',
                yaml.safe_dump(content, sort_keys=False, allow_unicode=True,
                               default_flow_style=None))

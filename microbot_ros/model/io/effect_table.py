@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from decimal import Decimal
-from functools import cache
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
-import pydantic
-from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
-
-from microbot_ros.common.files import Settings
+from microbot_ros.common.checked import Field, SettingsError, checked
+from microbot_ros.common.plausible import check_plausible
 from microbot_ros.common.units import exact_display, exact_si
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
@@ -74,54 +72,50 @@ def read_effects(table: Any) -> tuple[Effect, ...]:
     ValueError
         If the table is not valid; the message names the key and the error.
     """
-    try:
-        return build_effects(_check(table))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = '.'.join(str(part) for part in first['loc'])
-        raise ValueError(f'{key}: {first["msg"]}') from None
+    return build_effects(_checked(table))
 
 
-def _known_only(what: str) -> Any:
-    def check(cls: type[pydantic.BaseModel], content: Any) -> Any:
-        for key in content if isinstance(content, dict) else ():
-            if key not in cls.model_fields:
-                known = ', '.join(cls.model_fields)
-                problem = PydanticCustomError('unknown', f'unknown {what}; known are {known}')
-                details = InitErrorDetails(type=problem, loc=(str(key),), input=key)
-                raise ValidationError.from_exception_data(cls.__name__, [details])
-        return content
+def _checked(content: Any) -> dict[str, dict[str, float]]:
+    """Return the table with numbers; SettingsError for unknown, missing and wrong values."""
+    table = checked(dict[str, dict[str, Any]], content)
+    for name, given in table.items():
+        if name not in EFFECTS:
+            raise SettingsError(f'unknown effect; known are {", ".join(EFFECTS)}', name,
+                                received=name)
+        try:
+            table[name] = _parameters(EFFECTS[name], given)
+        except SettingsError as error:
+            raise error.below(name) from None
+    return table
 
-    return pydantic.model_validator(mode='before')(cast('Any', classmethod(check)))
+
+def _parameters(effect: type[Effect], given: dict[str, Any]) -> dict[str, float]:
+    known = {p.name: p for p in effect.parameters()}
+    for name in given:
+        if name not in known:
+            raise SettingsError(f'unknown parameter of {effect.id}; known are {", ".join(known)}',
+                                name, received=name)
+    for name, p in known.items():
+        if name not in given and p.field not in effect.defaults():
+            raise SettingsError("expected a key '{key}'", name)
+    return {name: _number(known[name], value) for name, value in given.items()}
 
 
-def _number(p: Parameter, default: Any) -> Any:
+def _number(p: Parameter, value: Any) -> float:
+    if p.inverse and value == math.inf:
+        return math.inf
     low, high = (float(exact_display(p.name, bound)) for bound in (p.low, p.high))
-    return float, pydantic.Field(default, ge=low, le=high, allow_inf_nan=p.inverse)
+    try:
+        number: float = checked(Annotated[float, Field(ge=low, le=high)], value)
+        check_plausible(p.name, number)
+    except SettingsError as error:
+        raise error.below(p.name) from None
+    except ValueError as error:
+        raise SettingsError(str(error), p.name, received=value) from None
+    return number
 
 
-def _settings_of(effect: type[Effect]) -> type[Settings]:
-    optional = effect.defaults()
-    fields: dict[str, Any] = {
-        p.name: _number(p, optional.get(p.field, ...)) for p in effect.parameters()
-    }
-    checks = {'known': _known_only(f'parameter of {effect.id}')}
-    return pydantic.create_model(effect.id, __base__=Settings, __validators__=checks, **fields)
-
-
-@cache
-def _library_settings() -> type[Settings]:
-    return pydantic.create_model(
-        'effects', __base__=Settings, __validators__={'known': _known_only('effect')},
-        **cast('dict[str, Any]', {name: (_settings_of(e), None) for name, e in EFFECTS.items()}),
-    )
-
-
-def _check(content: Any) -> dict[str, dict[str, float]]:
-    return _library_settings().model_validate(content).model_dump(exclude_unset=True)
-
-
-EffectTable = Annotated[dict[str, dict[str, float]], pydantic.PlainValidator(_check)]
+EffectTable = Annotated[Any, _checked]
 """Type of a settings field that holds effects: {effect: {parameter: value}}.
 
 Unknown names, missing parameters and values out of range are errors that name the key and what is

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
-import pydantic
 
-from microbot_ros.common.files import Settings
+from microbot_ros.common.checked import Field, Settings
 from microbot_ros.common.plausible import check_plausible
 from microbot_ros.common.units import exact_display, exact_si
 from microbot_ros.model.learned_term import (
@@ -21,7 +20,7 @@ from microbot_ros.model.learned_term import (
     LearnedTerm,
 )
 
-_Row = Annotated[tuple[float, ...], pydantic.Field(min_length=2)]
+_Row = Annotated[tuple[float, ...], Field(min_length=2)]
 """A row of at least two numbers."""
 
 
@@ -32,15 +31,14 @@ class LearnedEntry(Settings):
     frame: Frame
     acts_on: ActsOn
     formula: str | None = None
-    parameters: dict[str, float] = pydantic.Field(default_factory=dict)
+    parameters: dict[str, float] = Field(default_factory=dict)
     at: dict[str, _Row]
     values: dict[str, _Row]
     low_95: dict[str, _Row]
     high_95: dict[str, _Row]
     seen: tuple[bool, ...]
 
-    @pydantic.model_validator(mode='after')
-    def table_fits(self) -> LearnedEntry:
+    def __post_init__(self) -> None:
         if (self.frame, self.acts_on) not in VALUES:
             known = ', '.join(f'{frame} and {acts}' for frame, acts in VALUES)
             raise ValueError(f"expected 'frame' and 'acts_on' to be one of: {known}")
@@ -66,7 +64,6 @@ class LearnedEntry(Settings):
                     raise ValueError(f"expected {count} finite numbers in '{what}.{name}'")
         if len(self.seen) != count:
             raise ValueError(f"expected {count} times true or false in 'seen'")
-        return self
 
 
 def _named(table: Mapping[str, object], names: tuple[str, ...], what: str) -> None:

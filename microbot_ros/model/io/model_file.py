@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import pydantic
 import yaml
 
-from microbot_ros.common.files import Settings, load_yaml, read_yaml, write_text
+from microbot_ros.common.checked import Field, Settings
+from microbot_ros.common.files import load_yaml, read_yaml, write_text
 from microbot_ros.common.strict_yaml import StrictLoader
 from microbot_ros.common.units import exact_display, exact_si
 from microbot_ros.model.io.effect_table import EffectTable, build_effects
@@ -22,7 +22,7 @@ _SPEED = {'catalytic': 'v_um_s', 'rolling': 'gain_um_s_hz'}
 
 
 class _ParticleEntry(Settings):
-    id: Annotated[int, pydantic.Field(ge=0, lt=2**53)]
+    id: Annotated[int, Field(ge=0, lt=2**53)]
     v_um_s: float = 0.0
     gain_um_s_hz: float = 0.0
     phi_rad: float
@@ -30,21 +30,19 @@ class _ParticleEntry(Settings):
 
 class _ModelFile(Settings):
     propulsion: Propulsion = 'catalytic'
-    reference_field_mT: Annotated[float, pydantic.Field(gt=0)]
+    reference_field_mT: Annotated[float, Field(gt=0)]
     particles: tuple[_ParticleEntry, ...] = ()
-    effects: EffectTable = pydantic.Field(default_factory=dict)
+    effects: EffectTable = Field(default_factory=dict)
     learned: tuple[LearnedEntry, ...] = ()
 
-    @pydantic.model_validator(mode='after')
-    def particles_fit(self) -> _ModelFile:
+    def __post_init__(self) -> None:
         name = _SPEED[self.propulsion]
         for particle in self.particles:
-            if particle.model_fields_set & set(_SPEED.values()) != {name}:
+            if particle.given & set(_SPEED.values()) != {name}:
                 raise ValueError(f"expected '{name}' of each {self.propulsion} particle")
         ids = [particle.id for particle in self.particles]
         if len(set(ids)) != len(ids):
             raise ValueError(f'expected particles with different ids; received {ids}')
-        return self
 
 
 def read_model(path: str | Path) -> tuple[Model, ParticleParameters]:
@@ -113,7 +111,7 @@ def write_model(path: str | Path, model: Model, particles: ParticleParameters) -
         **({'learned': [write_term(term) for term in model.learned]} if model.learned else {}),
     }
     text = yaml.dump(content, Dumper=_ExactDumper, sort_keys=False)
-    _ModelFile.model_validate(yaml.safe_load(text))
+    _ModelFile.from_content(yaml.safe_load(text))
     write_text(path, text)
 
 

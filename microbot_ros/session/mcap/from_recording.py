@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 import numpy as np
-import pydantic
 
+from microbot_ros.common import strict_yaml
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session.mcap.cloud import cloud_points
@@ -213,13 +213,12 @@ def changes(t: np.ndarray, b: np.ndarray, frequency: np.ndarray | None,
 
 def _conditions(recording: Recording, rolling: bool) -> Conditions:
     try:
-        entries = recording.metadata().get('session', {})
-        return SessionFile.model_validate(entries).conditions(rolling)
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = '.'.join(map(str, first['loc']))
-        problem = f"metadata 'session', key '{key}': {first['msg']}"
-        raise InputError(recording.path, problem) from None
+        # Values of metadata in MCAP are texts.
+        entries = {key: strict_yaml.load(text)[1]
+                   for key, text in recording.metadata().get('session', {}).items()}
+        return SessionFile.from_content(entries).conditions(rolling)
+    except ValueError as error:
+        raise InputError(recording.path, f"metadata 'session': {error}") from None
 
 
 def stamp_ns(content: Any) -> int:

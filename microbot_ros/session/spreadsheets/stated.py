@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-import pydantic
-
-from microbot_ros.common.files import Settings
+from microbot_ros.common.checked import Field, PositiveFloat, Settings, SettingsError
 from microbot_ros.common.units import to_si
 from microbot_ros.session.spreadsheets.columns import ROLES
 from microbot_ros.session.spreadsheets.sheets import Answers
@@ -19,27 +17,23 @@ FieldUnit = Literal['mT', 'T', 'G', 'fraction']
 class Stated(Settings):
     """Options of an import, named as on the command line; None if not stated."""
 
-    columns: dict[str, str] = pydantic.Field(default_factory=dict)
+    columns: dict[str, str] = Field(default_factory=dict)
     position_unit: PositionUnit | None = None
-    pixel_size_um: pydantic.PositiveFloat | None = None
+    pixel_size_um: PositiveFloat | None = None
     y: Literal['up', 'down'] | None = None
     time_unit: Literal['s', 'ms'] | None = None
     times: Literal['moments', 'intervals'] | None = None
-    frame_rate_hz: pydantic.PositiveFloat | None = None
+    frame_rate_hz: PositiveFloat | None = None
     angle_unit: Literal['deg', 'rad'] | None = None
     angle_sense: Literal['counterclockwise', 'clockwise'] | None = None
-    angle_offset_deg: float | None = pydantic.Field(None, ge=-3600, le=3600)
+    angle_offset_deg: float | None = Field(default=None, ge=-3600, le=3600)
     field_unit: FieldUnit | None = None
-    full_scale_mT: pydantic.PositiveFloat | None = None
+    full_scale_mT: PositiveFloat | None = None
     ignore_speed: bool = False
 
-    @pydantic.field_validator('columns')
-    @classmethod
-    def _known_roles(cls, columns: dict[str, str]) -> dict[str, str]:
-        for role in columns:
-            if role not in ROLES:
-                raise ValueError(f'expected roles of {", ".join(ROLES)}')
-        return columns
+    def __post_init__(self) -> None:
+        if not self.columns.keys() <= set(ROLES):
+            raise SettingsError(f'expected roles of {", ".join(ROLES)}', 'columns')
 
     def answers(self) -> Answers:
         """Return the same in SI, for `import_session`.

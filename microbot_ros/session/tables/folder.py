@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import pydantic
 import yaml
 
+from microbot_ros.common.checked import Field, PositiveFloat, Settings, SettingsError
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.files import Settings, output_folder, read_yaml
+from microbot_ros.common.files import output_folder, read_yaml
 from microbot_ros.common.plausible import LONGEST_S
 from microbot_ros.common.records import (
     Commands,
@@ -50,23 +50,20 @@ class SessionFile(Settings):
     """`session.yaml`; all keys are optional."""
 
     propulsion: Literal['catalytic', 'rolling'] | None = None
-    radius_um: pydantic.PositiveFloat | None = None
-    viscosity_mPa_s: pydantic.PositiveFloat | None = None
-    temperature_K: pydantic.PositiveFloat | None = None
-    frame_rate_hz: pydantic.PositiveFloat | None = None
-    pixel_size_um: pydantic.PositiveFloat | None = None
-    reference_field_mT: pydantic.PositiveFloat | None = None
-    height_um: pydantic.PositiveFloat | None = None
-    speed_window_frames: int | None = pydantic.Field(None, ge=1, le=10_000)
+    radius_um: PositiveFloat | None = None
+    viscosity_mPa_s: PositiveFloat | None = None
+    temperature_K: PositiveFloat | None = None
+    frame_rate_hz: PositiveFloat | None = None
+    pixel_size_um: PositiveFloat | None = None
+    reference_field_mT: PositiveFloat | None = None
+    height_um: PositiveFloat | None = None
+    speed_window_frames: int | None = Field(default=None, ge=1, le=10_000)
     speed_window_base: TimeBase = 'elapsed'
     assumed: tuple[str, ...] = ()
 
-    @pydantic.field_validator('height_um')
-    @classmethod
-    def above_the_floor(cls, height: float | None, info: pydantic.ValidationInfo) -> float | None:
-        if problem := height_problem(height, info.data.get('radius_um')):
-            raise ValueError(problem)
-        return height
+    def __post_init__(self) -> None:
+        if problem := height_problem(self.height_um, self.radius_um):
+            raise SettingsError(problem, 'height_um')
 
     def conditions(self, rolling: bool) -> Conditions:
         """Return the conditions in SI; `rolling` commands replace a missing propulsion.

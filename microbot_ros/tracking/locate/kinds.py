@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
+from microbot_ros.common.checked import Field, Settings
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.files import Settings
 from microbot_ros.tracking.locate.bodies import Bodies
 
 TRAITS = ('height_grey', 'width_px', 'edge_px', 'elongation', 'fill', 'halo')
@@ -47,23 +46,28 @@ Range = tuple[float, float]
 class Kind(Settings):
     """One kind of body: ranges of its traits, and the examples they come from."""
 
-    name: str = Field('robot', pattern=r'^[A-Za-z][\w-]{0,31}$',
+    name: str = Field(default='robot', pattern=r'^[A-Za-z][\w-]{0,31}$',
                       description='name in the column `kind`')
     contrast: Literal['dark', 'bright'] = Field(
-        'dark', description='whether it is darker or brighter than the light around it')
+        default='dark', description='whether it is darker or brighter than the light around it')
     parts_px: float = Field(
-        0.0, ge=0, le=200, description='parts closer than this are one body [px]')
-    shrink: int = Field(1, ge=1, le=16, description='binning: pixels averaged along each axis')
-    height_grey: Range = Field((8.0, 1e6), description='its contrast [grey levels]')
-    width_px: Range = Field((3.0, 60.0), description='diameter of a disc of equal area [px]')
-    edge_px: Range = Field((0.0, 1e6), description='width of its edge, small in focus [px]')
-    elongation: Range = Field((1.0, 1e6), description='length over width')
-    fill: Range = Field((0.0, 2.0), description='area over that of the ellipse around it')
+        default=0.0, ge=0, le=200, description='parts closer than this are one body [px]')
+    shrink: int = Field(
+        default=1, ge=1, le=16, description='binning: pixels averaged along each axis')
+    height_grey: Range = Field(default=(8.0, 1e6), description='its contrast [grey levels]')
+    width_px: Range = Field(
+        default=(3.0, 60.0), description='diameter of a disc of equal area [px]')
+    edge_px: Range = Field(
+        default=(0.0, 1e6), description='width of its edge, small in focus [px]')
+    elongation: Range = Field(default=(1.0, 1e6), description='length over width')
+    fill: Range = Field(default=(0.0, 2.0), description='area over that of the ellipse around it')
     halo: Range = Field(
-        (-1.0, 1e6), description='contrast of the opposite sign beside it, relative to its '
+        default=(-1.0, 1e6),
+        description='contrast of the opposite sign beside it, relative to its '
                                  'contrast')
-    like: tuple[Traits, ...] = Field((), description='traits of the examples, in the order above')
-    unlike: tuple[Traits, ...] = Field((), description='traits of the counter-examples')
+    like: tuple[Traits, ...] = Field(
+        default=(), description='traits of the examples, in the order above')
+    unlike: tuple[Traits, ...] = Field(default=(), description='traits of the counter-examples')
 
     @property
     def dark(self) -> bool:
@@ -218,7 +222,7 @@ def with_examples(
     natural[:, 0] = np.where(np.isfinite(ends[:, 0]), natural[:, 0], [0, 0, 0, 1, 0, -1])
     fields = {name: tuple(float(f'{end:.4g}') for end in natural[k])
               for k, name in enumerate(TRAITS)}
-    return Kind.model_validate(kind.model_dump() | fields | {
+    return Kind.from_content(kind.content() | fields | {
         'like': _rounded(like), 'unlike': _rounded(unlike)})
 
 

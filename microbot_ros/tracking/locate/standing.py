@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import Field
 
-from microbot_ros.common.files import Settings
+from microbot_ros.common.checked import Field, Settings
 from microbot_ros.tracking.locate.bodies import Bodies
 
 _SAME = 3.0

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pydantic
 
+from microbot_ros.common.checked import SettingsError
 from microbot_ros.common.errors import InputError, shown
 from microbot_ros.tracking.locate.bodies import Bodies, contrast, find_bodies
 from microbot_ros.tracking.locate.kinds import Kind, traits, with_examples
@@ -136,8 +136,8 @@ def like(
 def _named(look: Kind, name: str) -> Kind:
     """Return a kind like `look` with this `name`; InputError for an invalid name."""
     try:
-        return Kind.model_validate({**look.model_dump(), 'name': name})
-    except pydantic.ValidationError:
+        return Kind.from_content({**look.content(), 'name': name})
+    except SettingsError:
         raise InputError('like', 'expected a name of at most 32 letters, digits, - and _ that '
                                  f'begins with a letter; received {shown(name)}') from None
 
@@ -206,7 +206,7 @@ def forget(settings: TrackerSettings, name: str | None = None) -> tuple[TrackerS
         raise InputError('forget', f'expected a known kind; received {name}')
     left = tuple(kind for kind in settings.kinds if name is not None and kind.name != name)
     places = settings.standing if left else ()
-    return (settings.model_copy(update={'kinds': left, 'standing': places}),
+    return (settings.replaced(kinds=left, standing=places),
             f'{name or "all"}: forgotten')
 
 
@@ -217,7 +217,7 @@ def _with(settings: TrackerSettings, learned: Kind) -> TrackerSettings:
         kinds[names.index(learned.name)] = learned
     else:
         kinds.append(learned)
-    return settings.model_copy(update={'kinds': tuple(kinds)})
+    return settings.replaced(kinds=tuple(kinds))
 
 
 def _word(kind: Kind) -> str:

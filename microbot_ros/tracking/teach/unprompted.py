@@ -266,7 +266,7 @@ def without_standing(
     """
     places = [place for kind in settings.kinds
               for place in _unmeant(standing(_members(kind, frames), carried), meant)]
-    return settings.model_copy(update={'standing': (*settings.standing, *places)})
+    return settings.replaced(standing=(*settings.standing, *places))
 
 
 def without_creeping(
@@ -300,7 +300,7 @@ def without_creeping(
               for place in _unmeant(creeping(_members(kind, frames)), meant)]
     if not any(place.holds(x, y) for place in places):
         return settings, 0
-    return (settings.model_copy(update={'standing': (*settings.standing, *places)}), len(places))
+    return (settings.replaced(standing=(*settings.standing, *places)), len(places))
 
 
 def _members(kind: Kind, frames: list[np.ndarray]) -> list[Bodies]:

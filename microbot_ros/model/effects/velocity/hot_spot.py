@@ -58,12 +58,10 @@ class HotSpot(Effect):
     @classmethod
     def _grid(cls, evidence: Evidence) -> tuple[Self, ...]:
         """Return spots on grids over the area of all tracks, a width apart, for five widths."""
-        places = [one.positions.reshape(-1, 2) for one in evidence.recordings
-                  if one.positions is not None]
-        if not places:
+        area = _area(evidence)
+        if area is None:
             return (cls.null(),)
-        low = np.nanmin([np.nanmin(one, axis=0) for one in places], axis=0)
-        high = np.nanmax([np.nanmax(one, axis=0) for one in places], axis=0)
+        low, high = area
         extent = float(max(high - low))
         return tuple(
             cls(x, y, 0.0, extent / part) for part in _WIDTHS
@@ -87,10 +85,12 @@ class HotSpot(Effect):
 
         A spot may have any size. There are more places for narrow ones, and each pays for all.
         """
-        grid = self._grid(evidence)
-        area = np.ptp([spot.x for spot in grid]) * np.ptp([spot.y for spot in grid])
+        area = _area(evidence)
+        if area is None:
+            return 1.0
         # A spot reaches over two widths each way.
-        return float(max(len({spot.width for spot in grid}) * area / (4 * self.width) ** 2, 1.0))
+        return float(max(
+            len(_WIDTHS) * np.prod(area[1] - area[0]) / (4 * self.width) ** 2, 1.0))
 
     def shape_seen(self, evidence: Evidence) -> bool:
         """Return whether tracks show more than the far slope, which could be anything smooth.
@@ -111,9 +111,24 @@ class HotSpot(Effect):
         return within and placed and std['speed'] < abs(self.speed)
 
 
+def _area(evidence: Evidence) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the lowest and the highest corner (2,) of all tracks [m]; None without places."""
+    places = [one.positions.reshape(-1, 2) for one in evidence.recordings
+              if one.positions is not None]
+    if not places:
+        return None
+    return (np.nanmin([np.nanmin(one, axis=0) for one in places], axis=0),
+            np.nanmax([np.nanmax(one, axis=0) for one in places], axis=0))
+
+
 def _step(recorded: Recorded) -> float:
-    """Return the median distance between two frames [m]."""
+    """Return the distance between two frames [m]: half of the way is made in longer steps.
+
+    A particle that rests for most of a recording makes its way in few steps.
+    """
     if recorded.positions is None:
         return 0.0
     steps = np.hypot(*np.moveaxis(np.diff(recorded.positions, axis=0), -1, 0))
-    return float(np.median(steps[np.isfinite(steps)])) if np.isfinite(steps).any() else 0.0
+    steps = np.sort(steps[np.isfinite(steps)])
+    way = np.cumsum(steps)
+    return float(steps[np.searchsorted(way, way[-1] / 2)]) if len(steps) else 0.0
