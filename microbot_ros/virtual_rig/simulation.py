@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from microbot_ros.common.checked import SettingsError
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Commands, Session
 from microbot_ros.model.first_order import simulate
@@ -204,10 +205,9 @@ def _model(scenario: Scenario, source: str) -> Model:
         effects = read_effects(scenario.effects)
     except InputError:
         raise
-    except ValueError as error:
-        key, _, problem = str(error).partition(': ')
-        raise InputError(
-            source, f"'effects.{key}': {problem}, for first_order physics") from None
+    except ValueError as error:  # of the table, or of an effect of its own values
+        problem = error.below('effects') if isinstance(error, SettingsError) else error
+        raise InputError(source, f'for first_order physics: {problem}') from None
     return Model(scenario.reference_field, scenario.propulsion, effects, scenario.learned)
 
 

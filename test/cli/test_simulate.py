@@ -206,7 +206,9 @@ def test_controllers_that_cannot_be_are_refused(tmp_path, scenario, complaint):
 
 
 @pytest.mark.parametrize(('scenario', 'culprit', 'complaint'), [
-    (changed(fluid={'viscosity': 1.2}), 'fluid:', "expected a key 'fluid.viscosity_mPa_s'"),
+    (changed(fluid={}), 'fluid:', "expected a key 'fluid.viscosity_mPa_s'"),
+    (changed(fluid={'viscosity': 1.2}), '  viscosity:',
+     "unknown key 'fluid.viscosity'; expected one of: .*viscosity_mPa_s"),
     (changed(colour='red'), 'colour:', "unknown key 'colour'"),
     (changed(duration_s='nan'), 'duration_s:', 'duration_s'),
     (changed(duration_s=float('inf')), 'duration_s:', 'duration_s'),
