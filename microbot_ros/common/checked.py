@@ -315,13 +315,24 @@ def _is_whole(value: Any) -> bool:
     return _is_number(value) and (isinstance(value, Integral) or float(value).is_integer())
 
 
+def _date(value: Any) -> datetime.date | None:
+    """Return a date that YAML gives as such, or as a text in quotes; None for all else."""
+    if isinstance(value, str):
+        try:
+            return datetime.date.fromisoformat(value)
+        except ValueError:
+            return None
+    return value if type(value) is datetime.date else None
+
+
 _SCALARS: dict[Any, tuple[str, Callable[[Any], bool], Callable[[Any], Any]]] = {
     float: ('a finite number', _is_number, float),
     int: ('a whole number', _is_whole, int),
     bool: ('true or false', lambda value: isinstance(value, bool), bool),
     str: ('a text', lambda value: isinstance(value, str), str),
     Path: ('a path', lambda value: isinstance(value, str | Path), Path),
-    datetime.date: ('a date', lambda value: type(value) is datetime.date, lambda value: value)}
+    datetime.date: ('a date such as 2026-03-14', lambda value: _date(value) is not None,
+                    lambda value: _date(value))}
 """Type → what is expected in words, whether a value is of it, and its conversion."""
 
 

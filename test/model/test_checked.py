@@ -88,6 +88,7 @@ def test_what_fits_is_converted_and_kept() -> None:
     assert (type(made.count), made.pair, made.level) == (int, (1.0, 2.0), (1.0, 2.0))
     assert made.inner == (Inner(size_mm=3.0),)
     assert made.path == Path('b')
+    assert Outer.from_content({'count': 1, 'day': '2026-01-31'}).day == made.day
     assert made.given == {'count', 'pair', 'level', 'inner', 'table', 'path', 'day'}
     with pytest.raises(dataclasses.FrozenInstanceError):
         made.count = 3  # type: ignore[misc]
