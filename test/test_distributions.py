@@ -83,7 +83,7 @@ def test_extras_leave_the_core_light(about: Message) -> None:
     needs = [str(value) for value in about.get_all('Requires-Dist', [])]
     assert {'gym', 'cockpit', 'cameras', 'dask'} <= set(about.get_all('Provides-Extra', []))
     core = {value for value in needs if 'extra ==' not in value}
-    assert len(core) == 8
+    assert len(core) == 7
     for name, extra in (('gymnasium', 'gym'), ('starlette', 'cockpit'), ('pypylon', 'cameras'),
                         ('distributed', 'dask'), ('rclpy', 'ros'), ('matplotlib', 'analysis'),
                         ('av', 'video'), ('mcap', 'mcap'), ('osqp', 'predictive')):
