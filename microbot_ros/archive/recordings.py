@@ -6,7 +6,6 @@ bytes of all other files, or the columns of a table, show what they are.
 
 from __future__ import annotations
 
-import codecs
 import hashlib
 import os
 import re
@@ -20,7 +19,7 @@ from typing import Any, Literal
 from microbot_ros.common.errors import InputError
 from microbot_ros.session.mcap.bag import METADATA_FILE
 from microbot_ros.session.spreadsheets.columns import find_columns
-from microbot_ros.session.spreadsheets.sheets import read_sheets
+from microbot_ros.session.spreadsheets.sheets import SAVE_AS_XLSX, UTF_16, read_sheets
 from microbot_ros.session.spreadsheets.summary import summary_of
 
 Kind = Literal['session', 'recording', 'film', 'table']
@@ -292,8 +291,7 @@ def _refused(kinds: dict[str, list[Path]], top: Path) -> Iterator[Refused]:
         for file in files:
             if file.suffix.lower() in _CLAIMS:
                 old = file.suffix.lower() == '.xls'
-                yield Refused.of(file, top, 'expected .xlsx; save the file in that format' if old
-                                 else reasons.get(what, what))
+                yield Refused.of(file, top, SAVE_AS_XLSX if old else reasons.get(what, what))
 
 
 def _what(file: Path, size: int) -> str:
@@ -307,7 +305,7 @@ def _what(file: Path, size: int) -> str:
         return 'spreadsheet' if _is_workbook(file) else 'other'
     if magic and (head[:2] != b'BM' or b'\0' in head):
         return magic
-    text = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or b'\0' not in head
+    text = head.startswith(UTF_16) or b'\0' not in head
     if not text or size > _MOST_TEXT or file.suffix.lower() in ('.yaml', '.yml', '.json'):
         return 'other'
     return _table(file)

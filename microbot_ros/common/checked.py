@@ -332,7 +332,7 @@ _SCALARS: dict[Any, tuple[str, Callable[[Any], bool], Callable[[Any], Any]]] = {
     str: ('a text', lambda value: isinstance(value, str), str),
     Path: ('a path', lambda value: isinstance(value, str | Path), Path),
     datetime.date: ('a date such as 2026-03-14', lambda value: _date(value) is not None,
-                    lambda value: _date(value))}
+                    _date)}
 """Type → what is expected in words, whether a value is of it, and its conversion."""
 
 

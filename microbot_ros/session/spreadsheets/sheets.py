@@ -21,7 +21,10 @@ _SPREADSHEETS = ('.xlsx', '.xlsm')
 _TEXTS = ('.csv', '.tsv', '.txt', '.dat')
 _DECIMAL_COMMA = re.compile(r'^\s*[+-]?\d+,\d+\s*$')
 _BLANK = ('', 'nan', 'na', 'n/a', 'none', '-', '#n/a', '#div/0!', '#value!', '#num!', '#ref!')
-_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+"""Marks with which a text in UTF-16 begins."""
+SAVE_AS_XLSX = 'expected .xlsx; save the file in that format'
+"""What is said of a workbook in Excel's former format."""
 _SAMPLE = 50
 """Choice: rows that show how wide a table is and whether it has decimal commas."""
 _NOTE_CELLS = 0.5
@@ -179,7 +182,7 @@ def read_sheets(path: Path) -> tuple[list[Sheet], list[str]]:
     if path.suffix.lower() in _SPREADSHEETS:
         return _together(_read_spreadsheet(path))
     if path.suffix.lower() == '.xls':
-        raise InputError(path, 'expected .xlsx; save the file in that format')
+        raise InputError(path, SAVE_AS_XLSX)
     return _together([_read_text(path)])
 
 
@@ -229,7 +232,7 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     except OSError as error:
         raise InputError(path, f'expected a readable table ({error.strerror})') from None
     said: list[str] = []
-    for encoding in ('utf-16',) if content[:2] in _UTF_16 else ('utf-8-sig', 'cp1252'):
+    for encoding in ('utf-16',) if content[:2] in UTF_16 else ('utf-8-sig', 'cp1252'):
         try:
             text = content.decode(encoding)
         except UnicodeDecodeError:
