@@ -10,7 +10,6 @@ import multiprocessing as mp
 import os
 import random
 import signal
-import sys
 import tempfile
 import time
 from collections import deque
@@ -162,11 +161,12 @@ class _Rig:
 def _run_node(name: str, parameters: Path) -> None:
     """In a process of its own: a node until its end or that of the server it came from."""
     from microbot_ros.nodes.client.graph import PARENT
+    from microbot_ros.nodes.base.participant import leave
     from microbot_ros.nodes.process import run
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     os.dup2(1, 2)
     os.environ[PARENT] = str(os.getppid())
-    sys.exit(run([name], ['--ros-args', '--params-file', str(parameters)]))
+    leave(run(name, ['--ros-args', '--params-file', str(parameters)]))
 
 
 def _parameters(folder: Path, board: EmulatorProcess) -> Path:

@@ -107,8 +107,8 @@ def test_the_demo_names_all_that_it_lacks_before_it_begins(tmp_path: Path) -> No
 
 
 def test_a_rig_runs_without_recording_and_says_so() -> None:
-    code = WITHOUT + "from microbot_ros.nodes.process import run; sys.exit(run('recorder'))"
-    with subprocess.Popen([sys.executable, '-c', code], cwd=ROOT, text=True,
+    code = WITHOUT + 'from microbot_ros.nodes.process import main; main()'
+    with subprocess.Popen([sys.executable, '-c', code, 'recorder'], cwd=ROOT, text=True,
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as recorder:
         assert recorder.stdout is not None
         said = ''

@@ -32,8 +32,8 @@ from microbot_ros.nodes.process import SWITCH_S, make
 FAILSAFE_S = 60.0
 """After this a test gives up. A machine that is overloaded needs a tenth of it."""
 LINGER_S = 10.0
-"""After this the next test begins even if something still refers to a node that has ended: what a
-test that failed has kept."""
+"""Within this a thread has ended that still refers to a node which has ended; later, the test that
+keeps it fails."""
 PATIENT: dict[str, dict[str, Any]] = {
     'coil_driver': {'command_timeout_ms': 2000.0, 'max_command_age_ms': 2000.0,
                     'settling_ms': 2000.0, 'feedback_timeout_ms': 5000.0},
@@ -142,8 +142,8 @@ class Ros:
         """Leave nothing running."""
         ended = []
         while self.nodes:
-            node = self.nodes.popitem()[1]
-            ended.append(weakref.ref(node))
+            name, node = self.nodes.popitem()
+            ended.append((name, weakref.ref(node)))
             self._end(node)
             del node
         self._executor.remove_node(self.probe)
@@ -154,7 +154,8 @@ class Ros:
         # refers to it, such as a thread that has not quite ended.
         gc.collect()
         deadline = time.monotonic() + LINGER_S
-        while any(node() for node in ended) and time.monotonic() < deadline:
+        while kept := [name for name, node in ended if node()]:
+            assert time.monotonic() < deadline, f'something in the test still refers to {kept}'
             time.sleep(0.02)
             gc.collect()
 

@@ -19,6 +19,7 @@ from std_srvs.srv import SetBool
 from microbot_ros.common.errors import RigError
 from microbot_ros.common.records import Session
 from microbot_ros.discovery.driven.plan import Plan
+from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.nodes.client import driven_rig
 from microbot_ros.nodes.client.driven_rig import DrivenRig
 from microbot_ros.nodes.client.graph_client import GraphClient
@@ -39,9 +40,14 @@ class Stand:
         for name in ('model', 'controller', 'coil_driver'):
             assert self.graph.add(name).active
         self.rig = ForeignRig(self.graph.probe, 'coil_gain_mismatch', {'gain_ratio': 1.25})
-        self.driver = self.graph.nodes['coil_driver']
         self.arm(True)
-        self.graph.until(lambda: not self.driver._driver.gate.holding)
+        self.graph.until(lambda: not self.driver.gate.holding)
+
+    @property
+    def driver(self) -> CoilDriver:
+        """The driver of the coils."""
+        driver: CoilDriver = self.graph.nodes['coil_driver']._driver
+        return driver
 
     def arm(self, on: bool) -> None:
         """Arm or disarm."""
@@ -103,7 +109,7 @@ def _operator(_: Stand, __: DrivenRig) -> None:
 
 
 def _disarmed(here: Stand, _: DrivenRig) -> None:
-    here.driver._driver.disarm()
+    here.driver.disarm()
 
 
 def _gone(here: Stand, _: DrivenRig) -> None:
