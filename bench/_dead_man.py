@@ -160,8 +160,8 @@ class _Rig:
 
 def _run_node(name: str, parameters: Path) -> None:
     """In a process of its own: a node until its end or that of the server it came from."""
-    from microbot_ros.nodes.client.graph import PARENT
     from microbot_ros.nodes.base.participant import leave
+    from microbot_ros.nodes.client.graph import PARENT
     from microbot_ros.nodes.process import run
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     os.dup2(1, 2)
