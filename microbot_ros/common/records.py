@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -33,7 +34,7 @@ class Tracks:
     theta: np.ndarray
     sigma: np.ndarray
 
-    @property
+    @cached_property
     def particles(self) -> np.ndarray:
         """Identities present, ascending."""
         return np.unique(self.particle)
