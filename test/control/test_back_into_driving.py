@@ -148,7 +148,7 @@ TICK = st.fixed_dictionaries({
     'speed': st.sampled_from([4e-6, 4e-6, 4e-6, *ODD])})
 
 
-@settings(max_examples=400)
+@settings(max_examples=150)
 @given(slew=st.sampled_from([0.0, 0.005, 0.1, 10.0]), mood=st.sampled_from(MOODS),
        spells=st.lists(st.tuples(
            st.sampled_from(['east', 'south']), st.sampled_from(WAYS), st.lists(TICK, max_size=4)),

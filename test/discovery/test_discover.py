@@ -165,6 +165,7 @@ def exchanged(session, at):
         tracks, particle=particle[order], position=tracks.position[order]))
 
 
+@pytest.mark.soak
 def test_one_swap_of_identities_costs_no_name(film):
     session, _ = film(50, {'uniform_drift': {'wx_um_s': 0.6, 'wy_um_s': 0.0}}, duration=60.0)
     found = discover([exchanged(session, 30.0)])

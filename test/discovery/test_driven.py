@@ -233,6 +233,7 @@ def test_where_nothing_is_hidden_nothing_is_likelier():
     assert not judge(known).named
 
 
+@pytest.mark.soak
 def test_a_drift_is_not_alone_before_particles_have_been_about():
     played, known = _considered(1, ('uniform_drift',), 60.0)
     soon = judge(known)
@@ -488,6 +489,7 @@ def test_an_experiment_is_brief_while_there_is_little_to_look_at(seconds):
     assert lasting(seconds) <= lasting(seconds + 1.0)
 
 
+@pytest.mark.soak
 def test_it_looks_again_and_again_until_time_is_out_and_names_nothing_rashly():
     rig, _ = hidden_world(2, (), 10.0)
     driven = drive(rig, 1.0)

@@ -293,6 +293,7 @@ def test_where_a_wall_holds_all_that_is_told():
         check_sessions([walled(4, 1.0, starts=(0.0,))])
 
 
+@pytest.mark.soak
 def test_free_particles_are_never_taken_for_pressed(film):
     """Also where they are carried along, held together or turned late."""
     hidden = [{}, {'uniform_drift': {'wx_um_s': 1.0, 'wy_um_s': -1.0}},

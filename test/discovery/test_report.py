@@ -139,6 +139,7 @@ def test_the_summary_says_in_two_sentences_what_moves_particles_and_what_to_do(d
         assert not re.search(r'BIC|log |p =|±', one + two)
 
 
+@pytest.mark.soak
 def test_the_band_holds_nine_in_ten_and_the_poorer_model_leaves_it(film):
     """Many starts of a quick simulation: inside is a mean over correlated positions."""
     found, session = (lambda s: (discover([s]), s))(film(21, DRIFT, count=4, duration=60.0)[0])

@@ -62,6 +62,7 @@ def test_strength_time_and_swing_are_found(restless):
     assert found.diffusion < 0.1 * known.session_fits[0].diffusion
 
 
+@pytest.mark.soak
 def test_a_restless_roller_misses_nothing(restless):
     known = consider(restless)
     assert all(p.session.speeds_fluctuate for p in known.fit.session_fits)

@@ -136,6 +136,7 @@ def test_under_one_constant_command_drift_hides():
                    for text in last.diagnosis)
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(('hidden', 'effect'), [
     (('alignment_lag', {'tau_s': 0.4}), AlignmentLag(0.4)),
     (('linear_flow', {'gxx_per_s': 0.0, 'gxy_per_s': 0.02, 'gyx_per_s': 0.0, 'gyy_per_s': 0.0}),
