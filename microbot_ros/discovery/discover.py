@@ -191,7 +191,7 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
 
 
 def _reservations(known: Hypotheses, judgement: Judgement) -> list[str]:
-    """Return a sentence on each effect that is small or was recorded for a short time only."""
+    """Return a sentence on each effect that is small, contradicted or was recorded briefly."""
     told = []
     for name in judgement.of_instrument:
         effect = known.fit.model.effect(name)
@@ -200,6 +200,10 @@ def _reservations(known: Hypotheses, judgement: Judgement) -> list[str]:
                            for p in effect.parameters() if p.floor)
         told.append(f'{words(name)}: too small to be distinguished from an error of camera, time '
                     f'stamps or coils, and not named (floor: {floors}).')
+    told += [
+        f'{words(name)}: not the same in the whole recording, and not named. Its strength in one '
+        'half, of the time or of the particles, predicts the other half worse than no effect.'
+        for name in judgement.contradicted]
     return told + [
         f'{words(name)}: recorded for less than {EFFECTS[name].lookalike_time:.0f} s. In that '
         'time another quantity that varies with position or time can look like it.'

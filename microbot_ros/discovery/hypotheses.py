@@ -163,8 +163,19 @@ def joint_log_bayes_factor(fit: ModelFit, rest: ModelFit, found: Sequence[Candid
             - sum(map(_price, found)))
 
 
-def _widths(name: str) -> np.ndarray:
-    """Return the prior standard deviations (S,) of an effect's strengths, in fit coordinates."""
+def prior_widths(name: str) -> np.ndarray:
+    """Return the prior standard deviations of an effect's strengths.
+
+    Parameters
+    ----------
+    name : str
+        Id of the effect.
+
+    Returns
+    -------
+    ndarray, shape (S,)
+        Ascending, in fit coordinates.
+    """
     low, high = EFFECTS[name].prior
     return np.geomspace(low, high, 1 + round(PER_DECADE * np.log10(high / low)))
 
@@ -184,7 +195,7 @@ def _log_evidence(fit: ModelFit, names: Sequence[str], likelihood_ratio: float,
     left = axes * np.maximum(power, 0.0) @ axes.T
     group = np.array([names.index(name) for name, _ in compress(parameters, own)], int)
     logs = []
-    for widths in product(*map(_widths, names)):
+    for widths in product(*map(prior_widths, names)):
         spread = (wider * np.array(widths)[group]) ** 2
         wide = np.eye(len(x)) + spread[:, None] * left
         logs.append(-0.5 * (np.linalg.slogdet(wide)[1] + x @ left @ np.linalg.solve(wide, x)))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from microbot_ros.discovery.check.halves import CONTRADICTED, foretold
 from microbot_ros.discovery.check.score_tests import residual_maps
 from microbot_ros.discovery.hypotheses import (
     FALSE,
@@ -81,6 +82,8 @@ class Judgement:
     of_instrument : tuple of str
         Effects of the model too small to be told from an error of camera, time stamps or coils
         (`Effect.below_floor`).
+    contradicted : tuple of str
+        Effects of the model that one half of the recordings foretells wrongly for the other half.
     maps : tuple of ResidualMap
         All residual maps of the model.
     """
@@ -93,6 +96,7 @@ class Judgement:
     unlisted: bool = False
     early: tuple[str, ...] = ()
     of_instrument: tuple[str, ...] = ()
+    contradicted: tuple[str, ...] = ()
     maps: tuple[ResidualMap, ...] = ()
 
     @property
@@ -161,8 +165,10 @@ def judge(known: Hypotheses, run: Run = serially) -> Judgement:
         Before a search for learned terms (`scrutinised`).
     """
     small = tuple(effect.id for effect in known.fit.model.effects if effect.below_floor())
-    named = tuple(slot.own.id for slot in _likely(known)
-                  if slot.own.found.shape_seen and slot.own.id not in small)
+    shown = [slot.own.id for slot in _likely(known)
+             if slot.own.found.shape_seen and slot.own.id not in small]
+    contradicted = tuple(name for name in shown if foretold(known.fit, name) < CONTRADICTED)
+    named = tuple(name for name in shown if name not in contradicted)
     times = max((p.session.times for p in known.fit.session_fits), key=np.ptp)
     early = tuple(name for name in named if np.ptp(times) < EFFECTS[name].lookalike_time)
     open_ = {slot.own.id: tuple(one.id for one in slot.within_reach)
@@ -171,7 +177,8 @@ def judge(known: Hypotheses, run: Run = serially) -> Judgement:
     pending += [one.id for one in known.more if one.evidence > likelier_than_not()]
     maps = residual_maps(known.fit, run)
     left, beside = _left(known, named, maps, run)
-    return Judgement(named, open_, tuple(pending), left, beside, False, early, small, maps)
+    return Judgement(named, open_, tuple(pending), left, beside, False, early, small,
+                     contradicted, maps)
 
 
 def _likely(known: Hypotheses) -> list[Slot]:
