@@ -25,6 +25,12 @@ PADDING = 4
 Choice: the largest is then missed by at most 1/8 of a line's width; more only cost time.
 """
 
+BROAD = 12
+"""Independent frequencies on either side of a peak from which its noise is estimated.
+
+Choice: fewer follow the peak itself, more miss noise that is not white.
+"""
+
 BLOCK = 1.0
 """Duration [s] of the blocks over which residuals are summed.
 
@@ -66,6 +72,35 @@ def rotating_components(
     use = np.flatnonzero((frequency >= 1 / (slot[-1] * h)) & (frequency <= fastest))
     turned = np.exp(2j * np.pi * frequency[use] * times[0])
     return frequency[use], forward[use] * turned.conj(), forward[-use] * turned
+
+
+def background(power: np.ndarray, dof: int, signals: int = 1) -> np.ndarray:
+    """Return the noise around each frequency of a periodogram.
+
+    It is the median over BROAD independent frequencies on either side, of which a peak occupies
+    one or two.
+
+    Parameters
+    ----------
+    power : ndarray, shape (F,)
+        The largest of the powers of several signals, each χ² of `dof` for white noise.
+    dof : int
+        Degrees of freedom.
+    signals : int, optional
+        Number of signals.
+
+    Returns
+    -------
+    ndarray, shape (F,)
+        In units of white noise; at least 1.
+    """
+    from scipy.ndimage import median_filter
+    from scipy.special import chdtri
+
+    usual = float(chdtri(dof, 1 - 0.5 ** (1 / signals)))
+    around = median_filter(power, 2 * BROAD * PADDING + 1, mode='nearest')
+    noise: np.ndarray = np.maximum(around / usual, 1.0)
+    return noise
 
 
 @dataclass(frozen=True)

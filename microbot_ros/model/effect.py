@@ -473,6 +473,24 @@ class Evidence(Protocol):
             Amplitudes of the parts that rotate either way.
         """
 
+    def is_line(self, effect: Effect, frequency: float, direction: float) -> bool:
+        """Return whether the residual without a fitted effect has a peak at a frequency.
+
+        Parameters
+        ----------
+        effect : Effect
+            Effect of the fit.
+        frequency : float
+            Its frequency [Hz].
+        direction : float
+            Direction of its motion [rad].
+
+        Returns
+        -------
+        bool
+            Whether the peak is above the noise around it: False for a part of broad noise.
+        """
+
     def likely(self, starts: Iterable[AnyEffect],
                near: Callable[[AnyEffect, AnyEffect], bool]) -> Sequence[AnyEffect]:
         """Return the starting points whose drift, at strength 1, best matches the residual.

@@ -8,8 +8,9 @@ import pytest
 
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.evidence import FitEvidence
-from microbot_ros.discovery.hypotheses import _possible
+from microbot_ros.discovery.hypotheses import _possible, log_bayes_factor
 from microbot_ros.discovery.search import CandidateFit, fit_candidate
+from microbot_ros.discovery.verdict import enough
 from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
@@ -93,3 +94,21 @@ def test_a_spot_that_was_passed_but_once_or_twice_is_an_event(passes, seen):
         recordings=[SimpleNamespace(positions=np.concatenate([row, row[::-1], row][:passes]))],
         deviations=lambda _: dict.fromkeys(('x', 'y', 'speed', 'width'), 0.0))
     assert EFFECTS['hot_spot'](0.0, 0.0, 1e-6, 10e-6).shape_seen(evidence) == seen
+
+
+@pytest.mark.parametrize('broad', [False, True])
+@pytest.mark.parametrize('seed', [32, 33])
+def test_the_highest_part_of_a_broad_sway_is_no_oscillation(film, seed, broad):
+    """A filtered noise that moves all particles alike has its evidence at many frequencies."""
+    hidden = {'amplitude_um_s': 1.0, 'frequency_hz': 0.4, 'direction_rad': 0.5, 'phase_rad': 1.0}
+    session, _ = film(seed, {} if broad else {'periodic_drift': hidden})
+    if broad:
+        tracks, rng = session.tracks, np.random.default_rng(seed)
+        frequency = rng.uniform(0.05, 1.5, 60)
+        turned = np.exp(2j * np.pi * (np.multiply.outer(tracks.t, frequency) + rng.random(60)))
+        moved = 0.3e-6 * (turned / (2 * np.pi * frequency)).sum(axis=1)
+        moved = np.stack([np.zeros_like(moved.real), moved.real], axis=1)
+        session = replace(session, tracks=replace(tracks, position=tracks.position + moved))
+    found = fit_candidate(fitted(session), 'periodic_drift')
+    assert log_bayes_factor(found) > enough()
+    assert found.shape_seen != broad

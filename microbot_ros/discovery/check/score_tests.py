@@ -17,7 +17,7 @@ from microbot_ros.discovery.check.covariates import Covariates, Group
 from microbot_ros.discovery.check.tail_probabilities import chi_square_tail, peak_tail_probability
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import HORIZON, ResidualMap
-from microbot_ros.discovery.starting_points import PADDING, rotating_components
+from microbot_ros.discovery.starting_points import background, rotating_components
 from microbot_ros.estimation.likelihood.joint import (
     SessionFit,
     eliminate,
@@ -31,12 +31,6 @@ RANK = 1e-6
 """Eigenvalue, relative to 1 for an independent column, below which a direction is already fitted.
 
 Choice: well above rounding errors of double precision in inner products.
-"""
-
-BROAD = 12
-"""Independent frequencies on either side of a peak from which its noise is estimated.
-
-Choice: fewer follow the peak itself, more miss noise that is not white.
 """
 
 BINS = 12
@@ -212,7 +206,7 @@ def _rhythm(fit: ModelFit, jacobian: Sequence[np.ndarray],
         frequency = axes[0][0]
         power = np.max([2 * np.abs(ahead) ** 2 / weight for _, ahead, _ in axes], axis=0)
         name, dof, signals = 'rhythm, along the heading', 2, 2
-    power = power / _background(power, dof, signals)
+    power = power / background(power, dof, signals)
     best, peak = float(power.max()), float(frequency[power.argmax()])
     p_value = peak_tail_probability(best, dof, signals * fastest * float(np.ptp(p.session.times)))
     wave = np.exp(2j * np.pi * peak * p.session.times[1:, None])
@@ -220,22 +214,6 @@ def _rhythm(fit: ModelFit, jacobian: Sequence[np.ndarray],
     squares = _score(p, jacobian[k], fields, min(HORIZON, 0.5 / peak))[2]
     return ResidualMap(name, 'frequency [Hz]', best, dof, p_value, frequency, {
         'power': (power, np.zeros(len(frequency)))}, size=_size(best, dof, squares))
-
-
-def _background(power: np.ndarray, dof: int, signals: int) -> np.ndarray:
-    """Return the noise (F,) around each frequency, in units of white noise; at least 1.
-
-    `power` (F,) is the largest of several `signals`, each χ² of `dof` for white noise. The noise
-    is the median over BROAD independent frequencies on either side, of which a peak occupies one
-    or two.
-    """
-    from scipy.ndimage import median_filter
-    from scipy.special import chdtri
-
-    usual = float(chdtri(dof, 1 - 0.5 ** (1 / signals)))
-    around = median_filter(power, 2 * BROAD * PADDING + 1, mode='nearest')
-    background: np.ndarray = np.maximum(around / usual, 1.0)
-    return background
 
 
 def _single_steps(fit: ModelFit) -> ResidualMap:

@@ -82,5 +82,11 @@ class PeriodicDrift(Effect):
         return float(max(periods * np.log(evidence.fastest * evidence.duration / PERIODS), 1.0))
 
     def shape_seen(self, evidence: Evidence) -> bool:
-        """Return whether the recording has PERIODS: half a period could be anything smooth."""
-        return self.within_bounds() and bool(self.frequency * evidence.duration >= PERIODS)
+        """Return whether the recording has PERIODS, and whether the oscillation is a line.
+
+        Half a period could be anything smooth. A peak of broad noise is no oscillation: a small
+        error of the response to commands has as broad a spectrum as they have.
+        """
+        if not self.within_bounds() or self.frequency * evidence.duration < PERIODS:
+            return False
+        return evidence.is_line(self, self.frequency, self.direction)
