@@ -6,13 +6,20 @@ of their own: TrackEval brings opencv-python, which overwrites the headless buil
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-Seen = dict[int, tuple[np.ndarray, np.ndarray]]
-"""Identities (N,) and places (N, 2) [px] by frame."""
+if TYPE_CHECKING:
+    import pandas
+
+Shown = tuple[np.ndarray, np.ndarray]
+"""Identities (N,) and places (N, 2) [px] in one frame."""
+
+Seen = dict[int, Shown]
+"""Identities and places by frame."""
 
 NEEDED = ('trackeval', 'laptrack', 'skimage')
 """Packages without which there are no such figures."""
@@ -23,53 +30,58 @@ def available() -> bool:
     return all(find_spec(name) for name in NEEDED)
 
 
-def scores(truth: np.ndarray, seen: Seen, near: float) -> tuple[float, float]:
-    """Return HOTA and IDF1 of what was `seen` of robots at `truth` (T, N, 2) [px].
+def scores(truth: Sequence[Shown], found: Sequence[Shown], near: float) -> tuple[float, float]:
+    """Return HOTA and IDF1 of what was `found` in frames, by the `truth` in the same frames.
 
     A place is as similar to a robot's as 1 − distance / (2 `near`): one half at `near` [px], at
     which IDF1 counts a place as met. HOTA is the mean over similarities from 0.05 to 0.95.
     """
     from trackeval.metrics import HOTA, Identity
 
-    known = {name: k for k, name in enumerate(sorted(
-        {int(name) for ids, _ in seen.values() for name in ids}))}
-    frames = range(len(truth))
-    none = np.empty(0, int), np.empty((0, 2))
-    found = [seen.get(t, none) for t in frames]
+    def numbered(shown: Sequence[Shown]) -> tuple[int, list[np.ndarray]]:
+        known = {name: k for k, name in enumerate(sorted(
+            {name for ids, _ in shown for name in ids.tolist()}))}
+        return len(known), [np.array([known[name] for name in ids.tolist()], int)
+                            for ids, _ in shown]
+
+    robots, theirs = numbered(truth)
+    tracks, ours = numbered(found)
     data = {
-        'num_timesteps': len(truth), 'num_gt_ids': truth.shape[1], 'num_tracker_ids': len(known),
-        'num_gt_dets': truth.shape[0] * truth.shape[1],
-        'num_tracker_dets': sum(len(ids) for ids, _ in found),
-        'gt_ids': [np.arange(truth.shape[1]) for _ in frames],
-        'tracker_ids': [np.array([known[int(name)] for name in ids], int) for ids, _ in found],
+        'num_timesteps': len(truth), 'num_gt_ids': robots, 'num_tracker_ids': tracks,
+        'num_gt_dets': sum(map(len, theirs)), 'num_tracker_dets': sum(map(len, ours)),
+        'gt_ids': theirs, 'tracker_ids': ours,
         'similarity_scores': [
-            np.maximum(0, 1 - np.linalg.norm(truth[t][:, None] - found[t][1], axis=2) / 2 / near)
-            for t in frames]}
+            np.maximum(0, 1 - np.linalg.norm(real[:, None] - seen, axis=2) / 2 / near)
+            for (_, real), (_, seen) in zip(truth, found, strict=True)]}
     hota = HOTA().eval_sequence(data)['HOTA']
     idf1 = Identity({'PRINT_CONFIG': False}).eval_sequence(data)['IDF1']
     return float(np.mean(hota)), float(idf1)
 
 
-def rivals(frames: list[np.ndarray], diameter: int, step: float
+def rivals(places: pandas.DataFrame, leasts: Iterable[float], steps: Iterable[float],
            ) -> Iterator[tuple[str, Seen]]:
-    """Yield what trackpy and laptrack see in `frames` of dark robots, for every least mass tried.
+    """Yield the tracks that trackpy and laptrack link, for every least mass and step.
 
-    Both link what `trackpy.locate` finds with the `diameter` [px], over `step` [px] a frame.
+    `places` are what `trackpy.locate` found in all frames; `steps` are px a frame.
     """
     import trackpy
     from laptrack import LapTrack
 
     trackpy.quiet()
-    places = trackpy.batch(frames, diameter, invert=True, engine='python', processes=1)
-    for share in (0.95, 0.98, 0.99, 0.995):
-        table = places[places['mass'] >= places['mass'].quantile(share)]
-        yield 'trackpy', _by_frame(trackpy.link(table.copy(), step, memory=5), 'particle')
-        lap = LapTrack(cutoff=step**2, gap_closing_cutoff=(2 * step)**2,
-                       gap_closing_max_frame_count=5)
-        tracks, _, _ = lap.predict_dataframe(
-            table[['x', 'y', 'frame']].reset_index(drop=True), ['x', 'y'], frame_col='frame',
-            only_coordinate_cols=False)
-        yield 'laptrack', _by_frame(tracks.rename(columns={'frame_y': 'frame'}), 'track_id')
+    for least in leasts:
+        table = places[places['mass'] >= least]
+        for step in steps:
+            try:
+                linked = trackpy.link(table.copy(), step, memory=5)
+            except trackpy.SubnetOversizeException:
+                continue  # too many in reach of each other
+            yield 'trackpy', _by_frame(linked, 'particle')
+            lap = LapTrack(cutoff=step**2, gap_closing_cutoff=(2 * step)**2,
+                           gap_closing_max_frame_count=5)
+            tracks, _, _ = lap.predict_dataframe(
+                table[['x', 'y', 'frame']].reset_index(drop=True), ['x', 'y'], frame_col='frame',
+                only_coordinate_cols=False)
+            yield 'laptrack', _by_frame(tracks.rename(columns={'frame_y': 'frame'}), 'track_id')
 
 
 def _by_frame(table, identity: str) -> Seen:  # type: ignore[no-untyped-def]

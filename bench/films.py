@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,9 @@ _EXAMPLE = {'helix': (435.0, 326.0), 'hematite': (1764.0, 306.0), 'mickyroll1': 
 
 _NEAR = {'helix': 12.0, 'hematite': 6.0, 'mickyroll1': 6.0, 'bulk_water': 3.0}
 """Pixels within which a mark is met."""
+
+_STEPS = (10.0, 20.0, 40.0)
+"""Steps [px a frame] over which the rivals link; the best against the marks counts."""
 
 _REGION = {'bulk_water': (245, 105, 395, 215)}
 """Part of the picture that is marked: x and y from, x and y to."""
@@ -92,6 +95,7 @@ class Outcome:
     """What one film gave in its held-out frames: (recall, precision) of each way.
 
     `kept` of `robots` that were marked more than once had one identity in all these frames.
+    `identities` are HOTA and IDF1 of each way, where robots are marked by name.
     """
 
     free: tuple[float, float]
@@ -99,6 +103,7 @@ class Outcome:
     trackpy: tuple[float, float]
     kept: int
     robots: int
+    identities: dict[str, tuple[float, float]]
 
 
 def _judged(film: str) -> Outcome:
@@ -107,10 +112,19 @@ def _judged(film: str) -> Outcome:
     free = _followed(look(*_file(film), TrackerSettings()))
     seen = _followed(look(*_file(film), TrackerSettings(), [example]))
     robots = {name: ids for name, ids in _identities(known, seen).items() if len(ids) > 1}
+    pair, diameter, least = _trackpy(film, known, held)
+    identities: dict[str, tuple[float, float]] = {}
+    if robots and available():
+        identities = {'no pointing': identity_scores(film, known, free, held),
+                      'one example': identity_scores(film, known, seen, held)}
+        places = _located((frame.image for frame in _open(film).frames()), diameter, least)
+        for rival, theirs in rivals(places, [least], _STEPS):
+            identities[rival] = max(identities.get(rival, (0.0, 0.0)),
+                                    identity_scores(film, known, theirs, held))
     return Outcome(
-        score(film, known, free, held), score(film, known, seen, held),
-        _trackpy(film, known, held),
-        sum(len(set(ids)) == 1 and None not in ids for ids in robots.values()), len(robots))
+        score(film, known, free, held), score(film, known, seen, held), pair,
+        sum(len(set(ids)) == 1 and None not in ids for ids in robots.values()), len(robots),
+        identities)
 
 
 def _again(fields: dict[str, Any]) -> Outcome:
@@ -132,6 +146,13 @@ def _films() -> list[Figure]:
                 outcome.kept / outcome.robots, 1.0))
         found += [_beats(f'{film}, one example: {name} over that of trackpy', outcome.taught[k],
                          outcome.trackpy[k]) for k, name in enumerate(('recall', 'precision'))]
+        found += [
+            Figure(35, f'{film}, {words}: {name}', outcome.identities[words][k], '',
+                   f'> {theirs[k]:.3f}', f'{rival}, best of {len(_STEPS)} steps',
+                   outcome.identities[words][k] > theirs[k] or outcome.identities[words][k] == 1.0)
+            for words in ('no pointing', 'one example') if words in outcome.identities
+            for rival in ('trackpy', 'laptrack') if (theirs := outcome.identities.get(rival))
+            for k, name in enumerate(('HOTA', 'IDF1'))]
     return found
 
 
@@ -196,13 +217,16 @@ def _identities(known: dict[int, list[Mark]], seen: Seen) -> dict[str, list[int 
 
 
 def _trackpy(film: str, known: dict[int, list[Mark]], held: set[int]
-             ) -> tuple[float, float]:
-    """Recall and precision of trackpy at the parameters that suit the marked frames best."""
+             ) -> tuple[tuple[float, float], int, float]:
+    """Recall and precision of trackpy, at the diameter and least mass that suit these frames best.
+
+    Both are returned too.
+    """
     import trackpy
 
     trackpy.quiet()
     images = {frame.index: frame.image for frame in _open(film).frames() if frame.index in known}
-    best = (0.0, 0.0)
+    best: tuple[tuple[float, float], int, float] = (0.0, 0.0), 5, 0.0
     for diameter in (5, 7, 11, 15, 21, 31, 41):
         tables = {k: trackpy.locate(image, diameter, invert=True, engine='numba')
                   for k, image in images.items()}
@@ -212,7 +236,8 @@ def _trackpy(film: str, known: dict[int, list[Mark]], held: set[int]
                           for k, table in tables.items()
                           for part in [table[table['mass'] >= least]]}
             now = score(film, known, seen, held)
-            best = max(best, now, key=lambda pair: 2 * pair[0] * pair[1] / max(sum(pair), 1e-9))
+            best = max(best, (now, diameter, float(least)), key=lambda found: (
+                2 * found[0][0] * found[0][1] / max(sum(found[0]), 1e-9)))
     return best
 
 
@@ -264,13 +289,52 @@ def _textures() -> list[Figure]:
     for t, frame in enumerate(film.frames):
         poses = tracker.update(frame, t / 30)
         seen[t] = poses.id[poses.seen], poses.xy[poses.seen]
-    ours = scores(film.truth, seen, 5.0)
+    truth = [(np.arange(film.truth.shape[1]), places) for places in film.truth]
+    ours = scores(truth, _shown(seen, range(len(truth))), 5.0)
+    places = _located(film.frames, 13)
     best: dict[str, tuple[float, float]] = {}
-    for rival, theirs in rivals(film.frames, 13, 8.0):
-        best[rival] = max(best.get(rival, (0.0, 0.0)), scores(film.truth, theirs, 5.0))
+    for rival, theirs in rivals(places, places['mass'].quantile([0.95, 0.98, 0.99, 0.995]), [8.0]):
+        best[rival] = max(best.get(rival, (0.0, 0.0)),
+                          scores(truth, _shown(theirs, range(len(truth))), 5.0))
     return [Figure(35, f'robots over gravel, one example, one counter-example: {name}', ours[k],
                    '', f'> {pair[k]:.3f}', f'{rival}, grid search', ours[k] > pair[k])
             for rival, pair in best.items() for k, name in enumerate(('HOTA', 'IDF1'))]
+
+
+def _shown(seen: Seen, frames: Iterable[int]) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [seen.get(t, (np.empty(0, int), np.empty((0, 2)))) for t in frames]
+
+
+def _located(frames: Iterable[np.ndarray], diameter: int, least: float = 0.0) -> Any:
+    """Table of what trackpy locates in all `frames`."""
+    import pandas
+    import trackpy
+
+    return pandas.concat([
+        trackpy.locate(image, diameter, minmass=least, invert=True, engine='numba').assign(frame=t)
+        for t, image in enumerate(frames)])
+
+
+def identity_scores(film: str, known: dict[int, list[Mark]], seen: Seen, held: set[int],
+                    ) -> tuple[float, float]:
+    """HOTA and IDF1 in the frames `held` of a `film`, of the robots that are marked by name.
+
+    What meets another mark is left out, as trackers are judged beside things of another kind.
+    """
+    truth, found = [], []
+    for frame, (ids, places) in zip(sorted(held), _shown(seen, sorted(held)), strict=True):
+        named = [mark for mark in known[frame] if mark.robot]
+        truth.append((np.array([mark.robot for mark in named]),
+                      np.array([mark.place for mark in named]).reshape(-1, 2)))
+        marked = np.array([mark.place for mark in (*named, *(
+            mark for mark in known[frame] if not mark.robot))])
+        away = np.linalg.norm(marked[:, None] - places, axis=2)
+        rows, columns = linear_sum_assignment(np.minimum(away, 2 * _NEAR[film]))
+        other = {column for row, column in zip(rows, columns, strict=True)
+                 if row >= len(named) and away[row, column] < _NEAR[film]}
+        kept = [k for k in range(len(ids)) if k not in other]
+        found.append((ids[kept], places[kept]))
+    return scores(truth, found, _NEAR[film])
 
 
 def _sizes() -> list[Figure]:
