@@ -118,9 +118,8 @@ def _judged(film: str) -> Outcome:
         identities = {'no pointing': identity_scores(film, known, free, held),
                       'one example': identity_scores(film, known, seen, held)}
         places = _located((frame.image for frame in _open(film).frames()), diameter, least)
-        for rival, theirs in rivals(places, [least], _STEPS):
-            identities[rival] = max(identities.get(rival, (0.0, 0.0)),
-                                    identity_scores(film, known, theirs, held))
+        identities |= _best(rivals(places, [least], _STEPS),
+                            lambda theirs: identity_scores(film, known, theirs, held))
     return Outcome(
         score(film, known, free, held), score(film, known, seen, held), pair,
         sum(len(set(ids)) == 1 and None not in ids for ids in robots.values()), len(robots),
@@ -292,13 +291,20 @@ def _textures() -> list[Figure]:
     truth = [(np.arange(film.truth.shape[1]), places) for places in film.truth]
     ours = scores(truth, _shown(seen, range(len(truth))), 5.0)
     places = _located(film.frames, 13)
-    best: dict[str, tuple[float, float]] = {}
-    for rival, theirs in rivals(places, places['mass'].quantile([0.95, 0.98, 0.99, 0.995]), [8.0]):
-        best[rival] = max(best.get(rival, (0.0, 0.0)),
-                          scores(truth, _shown(theirs, range(len(truth))), 5.0))
+    best = _best(rivals(places, places['mass'].quantile([0.95, 0.98, 0.99, 0.995]), [8.0]),
+                 lambda theirs: scores(truth, _shown(theirs, range(len(truth))), 5.0))
     return [Figure(35, f'robots over gravel, one example, one counter-example: {name}', ours[k],
                    '', f'> {pair[k]:.3f}', f'{rival}, grid search', ours[k] > pair[k])
             for rival, pair in best.items() for k, name in enumerate(('HOTA', 'IDF1'))]
+
+
+def _best(tried: Iterable[tuple[str, Seen]], score_of: Callable[[Seen], tuple[float, float]],
+          ) -> dict[str, tuple[float, float]]:
+    """HOTA and IDF1 of each rival, at the highest HOTA of all that was tried."""
+    best: dict[str, tuple[float, float]] = {}
+    for rival, theirs in tried:
+        best[rival] = max(best.get(rival, (0.0, 0.0)), score_of(theirs))
+    return best
 
 
 def _shown(seen: Seen, frames: Iterable[int]) -> list[tuple[np.ndarray, np.ndarray]]:

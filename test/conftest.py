@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -132,6 +133,12 @@ def pytest_runtest_call() -> Iterator[None]:
 def pytest_runtest_makereport() -> Iterator[None]:
     """Fail a test that is skipped where everything should be installed."""
     return _unless_expected((yield))
+
+
+def pytest_exception_interact(call: pytest.CallInfo[Any]) -> None:
+    """Let go of what a test that failed had, such as nodes, which later tests would meet."""
+    if call.excinfo:
+        traceback.clear_frames(call.excinfo.tb)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -95,7 +95,7 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
     k = int(share.argmax())
     if share[k] < LONG:
         return False
-    normal = NORMALS[k % len(NORMALS)] * (1 if k < len(NORMALS) else -1)
+    normal = np.concatenate([NORMALS, -NORMALS])[k]
     there, free = np.abs(inwards[k]) < breadth, inwards[k] > 2 * breadth
     # A wall permits motion along it, and all motion elsewhere: c is fitted to these, as two real
     # numbers. Motion along the wall alone would determine c badly.

@@ -6,11 +6,14 @@ import gc
 import importlib
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import rclpy
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 
@@ -90,7 +93,7 @@ def run(name: str, arguments: list[str] | None = None) -> int:
             _settle(name)
             print(READY, name, flush=True)
             while not (ending.due or node.finished):
-                executor.spin_once(timeout_sec=_SPIN_SECONDS)
+                spin_once(executor, _SPIN_SECONDS)
             return _told_fault(node)
         except Stopped:
             return 0
@@ -104,6 +107,23 @@ def run(name: str, arguments: list[str] | None = None) -> int:
                 made.destroy_node()
             executor.shutdown()
             rclpy.try_shutdown()
+
+
+def spin_once(executor: Executor, seconds: float) -> None:
+    """Call at most one callback, as `Executor.spin_once` does.
+
+    rclpy raises InvalidHandle when a publisher came or went and the subscription was destroyed
+    before that was handled. That ended a driver that was cleaned up just then.
+
+    Parameters
+    ----------
+    executor : Executor
+        The executor.
+    seconds : float
+        Longest time to wait for a callback [s].
+    """
+    with suppress(InvalidHandle):
+        executor.spin_once(timeout_sec=seconds)
 
 
 def _refused(error: InputError) -> int:

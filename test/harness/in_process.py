@@ -14,7 +14,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from rig_file import write_rig
 
 from microbot_ros.nodes.base.lifecycle import RigNode
 from microbot_ros.nodes.base.participant import join
-from microbot_ros.nodes.process import SWITCH_S, make
+from microbot_ros.nodes.process import SWITCH_S, make, spin_once
 
 FAILSAFE_S = 60.0
 """After this a test gives up. A machine that is overloaded needs a tenth of it."""
@@ -76,8 +76,8 @@ class Ros:
         write_rig(self._file, {
             f'/**/{name}': PATIENT.get(name, {}) | parameters.get(name, {}) for name in names})
         self.probe = rclpy.create_node('probe')
-        self._executor = EventsExecutor()
-        self._executor.add_node(self.probe)
+        self.executor = EventsExecutor()
+        self.executor.add_node(self.probe)
         self.nodes: dict[str, RigNode] = {}
 
     def add(self, name: str, namespace: str = '/') -> RigNode:
@@ -85,7 +85,7 @@ class Ros:
         node = make(name, ['--ros-args', '--params-file', str(self._file),
                                  '-r', f'__ns:={namespace}'])
         self.nodes[node.get_fully_qualified_name().removeprefix('/')] = node
-        self._executor.add_node(node)
+        self.executor.add_node(node)
         if node.trigger_configure().name == 'SUCCESS':
             node.trigger_activate()
         return node
@@ -95,7 +95,7 @@ class Ros:
         deadline = time.monotonic() + FAILSAFE_S
         while not true():
             assert time.monotonic() < deadline, 'did not happen'
-            self._executor.spin_once(timeout_sec=0.01)
+            spin_once(self.executor, 0.01)
             # A test that commands in `true` must not flood the line faster than the emulated
             # amplifier, a thread of this process, reads it.
             time.sleep(0.001)
@@ -124,7 +124,7 @@ class Ros:
 
         def spin() -> None:
             while not ending.is_set():
-                self._executor.spin_once(timeout_sec=0.01)
+                spin_once(self.executor, 0.01)
         thread = threading.Thread(target=spin)
         thread.start()
         try:
@@ -140,30 +140,39 @@ class Ros:
 
     def end(self) -> None:
         """Leave nothing running."""
+        for node in self.nodes.values():
+            node.make_safe_and_close()
+            self.executor.remove_node(node)
+        self.executor.remove_node(self.probe)
+        # Anything queued would keep its node for ever, and fail once that is destroyed.
+        last = self.executor.create_task(lambda: None)
+        while not last.done():
+            spin_once(self.executor, 0.01)
         ended = []
         while self.nodes:
             name, node = self.nodes.popitem()
             ended.append((name, weakref.ref(node)))
-            self._end(node)
+            node.destroy_node()
             del node
-        self._executor.remove_node(self.probe)
         self.probe.destroy_node()
-        self._executor.shutdown()
+        self.executor.shutdown()
         vars(self).clear()  # what a test added to it, too
         # The graph, which later tests of this process share, shows a node for as long as anything
         # refers to it, such as a thread that has not quite ended.
         gc.collect()
         deadline = time.monotonic() + LINGER_S
         while kept := [name for name, node in ended if node()]:
-            assert time.monotonic() < deadline, f'something in the test still refers to {kept}'
+            assert time.monotonic() < deadline, f'{kept} are still referred to: {_by_what(ended)}'
             time.sleep(0.02)
             gc.collect()
         gc.freeze()  # what is left is not the next test's to look through: 80 ms
 
-    def _end(self, node: RigNode) -> None:
-        node.make_safe_and_close()
-        self._executor.remove_node(node)
-        node.destroy_node()
+
+def _by_what(ended: list[tuple[str, weakref.ref[RigNode]]]) -> list[str]:
+    """What refers to nodes that should be gone, and the functions in which threads stand."""
+    running = [f'{frame.f_code.co_qualname}:{frame.f_lineno}'
+               for frame in sys._current_frames().values()]
+    return [repr(by)[:200] for _, node in ended for by in gc.get_referrers(node())] + running
 
 
 class _Output(io.StringIO):
@@ -185,12 +194,11 @@ def command(*words: object) -> tuple[int, str, str]:
 
 def graphs(folder: Path) -> Iterator[Callable[[dict[str, dict[str, Any]]], Ros]]:
     """Make graphs from parameters for one test, and end them: the body of a fixture."""
-    made: list[Ros] = []
-
-    def start(parameters: dict[str, dict[str, Any]]) -> Ros:
-        made.append(Ros(folder, parameters))
-        return made[-1]
     assert os.environ['ROS_DOMAIN_ID']
-    yield start
-    for graph in made:
-        graph.end()
+    with ExitStack() as made:  # all end, also where a test keeps a node of one
+
+        def start(parameters: dict[str, dict[str, Any]]) -> Ros:
+            graph = Ros(folder, parameters)
+            made.callback(graph.end)
+            return graph
+        yield start

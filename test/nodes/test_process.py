@@ -16,6 +16,8 @@ import rclpy
 import rclpy.executors
 from geometry_msgs.msg import Vector3Stamped
 from in_process import PATIENT, command, own_context
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.experimental.events_executor import EventsExecutor
 from rig_file import write_rig
 from std_srvs.srv import SetBool
 
@@ -92,6 +94,31 @@ def test_a_driver_is_ended_by_a_signal_at_zero(
     assert f'{READY} coil_driver' in capfd.readouterr().out
     assert flowed == [True]
     assert emulator.zero
+
+
+def test_a_publisher_that_came_to_a_subscription_now_destroyed_is_no_fault() -> None:
+    rclpy.init(context=(context := rclpy.Context()))
+    node = rclpy.create_node('hearing', context=context)
+    try:
+        executor = EventsExecutor(context=context)
+        executor.add_node(node)
+        heard = node.create_subscription(
+            Vector3Stamped, 'field', lambda _: None, 1,
+            event_callbacks=SubscriptionEventCallbacks(matched=lambda _: None))
+        first = executor.create_task(lambda: None)
+        while not first.done():  # the executor knows the subscription
+            process.spin_once(executor, 0.01)
+        node.create_publisher(Vector3Stamped, 'field', 1)
+        while not heard.get_publisher_count():
+            time.sleep(0.01)
+        node.destroy_subscription(heard)
+        last = executor.create_task(lambda: None)
+        while not last.done():
+            process.spin_once(executor, 0.01)
+        executor.shutdown()
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
 
 
 def test_a_node_that_cannot_begin_is_one_line_and_two(
