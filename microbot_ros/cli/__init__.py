@@ -15,6 +15,7 @@ import importlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -137,10 +138,12 @@ def _failed(who: str, sentence: str, status: int) -> int:
 def _cleaned_up_on(*signals: int) -> Iterator[None]:
     """Raise SystemExit at the first of the signals, so that no folder stays half filled.
 
-    The process ends within `_CLEAN_UP_S` in any case: a library in C may swallow the exception.
-    Forked workers end at once.
+    Where C calls Python, as llvmlite and weak references do, an exception is ignored: it is raised
+    again 10 ms later, as is KeyboardInterrupt. The process ends within `_CLEAN_UP_S` in any case:
+    a library in C may swallow the exception. Forked workers end at once.
     """
     ours = os.getpid()
+    ignored = sys.unraisablehook
 
     def end(number: int, _: FrameType | None) -> None:
         if os.getpid() != ours:
@@ -152,6 +155,21 @@ def _cleaned_up_on(*signals: int) -> Iterator[None]:
             signal.alarm(_CLEAN_UP_S)
             raise SystemExit(128 + number)
 
+    def again(lost: sys.UnraisableHookArgs) -> None:
+        error = lost.exc_value
+        if (not isinstance(error, SystemExit | KeyboardInterrupt)
+                or threading.current_thread() is not threading.main_thread()):
+            ignored(lost)
+            return
+
+        def once_more(*_: object) -> None:
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(_CLEAN_UP_S if isinstance(error, SystemExit) else 0)
+            raise error.with_traceback(None)
+        signal.signal(signal.SIGALRM, once_more)
+        signal.setitimer(signal.ITIMER_REAL, 0.01)
+
+    sys.unraisablehook = again
     # `nohup` ignores one of them.
     before = {one: signal.signal(one, end) for one in signals
               if signal.getsignal(one) == signal.SIG_DFL}
@@ -159,5 +177,6 @@ def _cleaned_up_on(*signals: int) -> Iterator[None]:
         yield
     finally:
         signal.alarm(0)
+        sys.unraisablehook = ignored
         for one, handler in before.items():
             signal.signal(one, handler)

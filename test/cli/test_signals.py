@@ -13,13 +13,25 @@ import os, signal, sys, time, types
 import click
 from microbot_ros import cli
 
+def killed(*_):
+    os.kill(os.getpid(), signal.{name})
+    time.sleep(0.001)
+
 class Collected:
-    def __del__(self):
-        os.kill(os.getpid(), signal.{name})
+    __del__ = killed
+
+def ignored_by_python():
+    Collected()
+
+def swallowed():
+    try:
+        killed()
+    except BaseException:
+        pass
 
 @click.command()
 def command():
-    Collected()
+    {way}()
     time.sleep(60)
 
 cli._CLEAN_UP_S = 1
@@ -29,8 +41,14 @@ cli.script()
 """
 
 
-@pytest.mark.parametrize('name', ['SIGTERM', 'SIGHUP'])
-def test_a_command_ends_though_nobody_hears_of_its_signal(name: str) -> None:
-    done = subprocess.run([sys.executable, '-c', _COMMAND.format(name=name)],
+@pytest.mark.parametrize(('name', 'way', 'status'), [
+    ('SIGTERM', 'ignored_by_python', 128 + signal.SIGTERM),
+    ('SIGHUP', 'ignored_by_python', 128 + signal.SIGHUP),
+    ('SIGINT', 'ignored_by_python', 130),
+    ('SIGTERM', 'swallowed', -signal.SIGALRM)])
+def test_a_command_ends_though_nobody_hears_of_its_signal(
+        name: str, way: str, status: int) -> None:
+    done = subprocess.run([sys.executable, '-c', _COMMAND.format(name=name, way=way)],
                           capture_output=True, timeout=50)
-    assert done.returncode == -signal.SIGALRM
+    assert done.returncode == status
+    assert done.stderr.strip() == b''

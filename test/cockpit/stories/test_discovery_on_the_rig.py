@@ -52,7 +52,7 @@ def test_a_hidden_lag_is_found(browser: Any, tmp_path: Path) -> None:
 def _read_the_report(page: Any) -> None:
     """By the page's link: its words are there, styled, and every picture."""
     complaints: list[str] = []
-    page.context.on('console', lambda said: complaints.append(said.text)
+    page.context.on('console', lambda said: complaints.append(f'{said.text} {said.location}')
                     if said.type == 'error' else None)
     with page.expect_popup() as opened:
         page.click('#discover-where a')
