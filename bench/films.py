@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from bench._film_scenes import SIZES_NOISE, among_cells, disc_bound, of_sizes, over_texture
-from bench._film_scores import available, rivals, scores
+from bench._film_scores import Seen, Shown, available, rivals, scores
 from bench._kept import run_kept
 from bench.figure import Figure
 from microbot_ros.cameras.source import Source, open_source
@@ -57,10 +57,6 @@ class Mark:
     place: np.ndarray
     sure: bool
     robot: str
-
-
-Seen = dict[int, tuple[np.ndarray, np.ndarray]]
-"""Identities (N,) and places (N, 2) [px] by frame."""
 
 
 def figures() -> list[Figure]:
@@ -307,7 +303,7 @@ def _best(tried: Iterable[tuple[str, Seen]], score_of: Callable[[Seen], tuple[fl
     return best
 
 
-def _shown(seen: Seen, frames: Iterable[int]) -> list[tuple[np.ndarray, np.ndarray]]:
+def _shown(seen: Seen, frames: Iterable[int]) -> list[Shown]:
     return [seen.get(t, (np.empty(0, int), np.empty((0, 2)))) for t in frames]
 
 

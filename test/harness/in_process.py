@@ -22,6 +22,7 @@ from typing import Any
 import rclpy
 import rclpy.utilities
 from command_line import microbot
+from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rig_file import write_rig
 
@@ -76,8 +77,8 @@ class Ros:
         write_rig(self._file, {
             f'/**/{name}': PATIENT.get(name, {}) | parameters.get(name, {}) for name in names})
         self.probe = rclpy.create_node('probe')
-        self.executor = EventsExecutor()
-        self.executor.add_node(self.probe)
+        self._executor = EventsExecutor()
+        self._executor.add_node(self.probe)
         self.nodes: dict[str, RigNode] = {}
 
     def add(self, name: str, namespace: str = '/') -> RigNode:
@@ -85,7 +86,7 @@ class Ros:
         node = make(name, ['--ros-args', '--params-file', str(self._file),
                                  '-r', f'__ns:={namespace}'])
         self.nodes[node.get_fully_qualified_name().removeprefix('/')] = node
-        self.executor.add_node(node)
+        self._executor.add_node(node)
         if node.trigger_configure().name == 'SUCCESS':
             node.trigger_activate()
         return node
@@ -95,7 +96,7 @@ class Ros:
         deadline = time.monotonic() + FAILSAFE_S
         while not true():
             assert time.monotonic() < deadline, 'did not happen'
-            spin_once(self.executor, 0.01)
+            spin_once(self._executor, 0.01)
             # A test that commands in `true` must not flood the line faster than the emulated
             # amplifier, a thread of this process, reads it.
             time.sleep(0.001)
@@ -124,7 +125,7 @@ class Ros:
 
         def spin() -> None:
             while not ending.is_set():
-                spin_once(self.executor, 0.01)
+                spin_once(self._executor, 0.01)
         thread = threading.Thread(target=spin)
         thread.start()
         try:
@@ -142,12 +143,10 @@ class Ros:
         """Leave nothing running."""
         for node in self.nodes.values():
             node.make_safe_and_close()
-            self.executor.remove_node(node)
-        self.executor.remove_node(self.probe)
+            self._executor.remove_node(node)
+        self._executor.remove_node(self.probe)
         # Anything queued would keep its node for ever, and fail once that is destroyed.
-        last = self.executor.create_task(lambda: None)
-        while not last.done():
-            spin_once(self.executor, 0.01)
+        run_queue(self._executor)
         ended = []
         while self.nodes:
             name, node = self.nodes.popitem()
@@ -155,7 +154,7 @@ class Ros:
             node.destroy_node()
             del node
         self.probe.destroy_node()
-        self.executor.shutdown()
+        self._executor.shutdown()
         vars(self).clear()  # what a test added to it, too
         # The graph, which later tests of this process share, shows a node for as long as anything
         # refers to it, such as a thread that has not quite ended.
@@ -168,11 +167,19 @@ class Ros:
         gc.freeze()  # what is left is not the next test's to look through: 80 ms
 
 
+def run_queue(executor: Executor) -> None:
+    """Let an executor act on all that is queued so far."""
+    last = executor.create_task(lambda: None)
+    while not last.done():
+        spin_once(executor, 0.01)
+
+
 def _by_what(ended: list[tuple[str, weakref.ref[RigNode]]]) -> list[str]:
     """What refers to nodes that should be gone, and the functions in which threads stand."""
     running = [f'{frame.f_code.co_qualname}:{frame.f_lineno}'
                for frame in sys._current_frames().values()]
-    return [repr(by)[:200] for _, node in ended for by in gc.get_referrers(node())] + running
+    return [repr(by)[:200] for _, node in ended if (kept := node())
+            for by in gc.get_referrers(kept)] + running
 
 
 class _Output(io.StringIO):

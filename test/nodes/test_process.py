@@ -15,7 +15,7 @@ import pytest
 import rclpy
 import rclpy.executors
 from geometry_msgs.msg import Vector3Stamped
-from in_process import PATIENT, command, own_context
+from in_process import PATIENT, command, own_context, run_queue
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental.events_executor import EventsExecutor
 from rig_file import write_rig
@@ -105,16 +105,12 @@ def test_a_publisher_that_came_to_a_subscription_now_destroyed_is_no_fault() -> 
         heard = node.create_subscription(
             Vector3Stamped, 'field', lambda _: None, 1,
             event_callbacks=SubscriptionEventCallbacks(matched=lambda _: None))
-        first = executor.create_task(lambda: None)
-        while not first.done():  # the executor knows the subscription
-            process.spin_once(executor, 0.01)
+        run_queue(executor)  # now it knows the subscription
         node.create_publisher(Vector3Stamped, 'field', 1)
         while not heard.get_publisher_count():
             time.sleep(0.01)
         node.destroy_subscription(heard)
-        last = executor.create_task(lambda: None)
-        while not last.done():
-            process.spin_once(executor, 0.01)
+        run_queue(executor)
         executor.shutdown()
     finally:
         node.destroy_node()
