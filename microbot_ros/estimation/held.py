@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
+
+from microbot_ros.estimation.swimming import Swimming, response
 
 FEWEST_FRAMES = 50
 """Fewest steps for a conclusion. Choice: two seconds of a usual camera."""
@@ -44,12 +47,25 @@ SECONDS, SAMPLE = 12.0, 0.1
 Choice: a particle that left a wall is known again after 12 s; half the span has too few commands.
 """
 
-STILL, LOOSE = 3.0, 0.5
-"""Time [s] for which a particle that swam must stand still to be held under one command, and the
-fraction (`LOOSE`) of its speed before at which it is free again.
+MEMORY = 40.0
+"""Span [s] of the recent past from which it is known how a particle swims.
 
-Choice: half the time is a turn of heading that lags, twice shows a wrong speed for longer. At a
-quarter of the speed motion along the wall frees it, at all of it nothing does.
+Choice: shorter ones hold too few directions, longer ones a speed of long ago.
+"""
+
+FIRST, AGAIN = (3.0, 6.0), (3.0, 1.5)
+"""Spans [s], ending now, one of which must show a wall; and those (`AGAIN`) for a particle that is
+held.
+
+Choice: 3 s are a micrometre of diffusion, and 10 of motion; 6 s show slower particles, and 1.5 s
+follow one that slides into a corner.
+"""
+
+CLEARLY = 10.0
+"""Log-likelihood by which a wall must fit better than free motion.
+
+Choice: at 6, headings that lag by 0.3 s are taken for walls now and then; a larger value finds
+slow particles later.
 """
 
 ANOTHER = np.deg2rad(20.0)
@@ -84,7 +100,7 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
     """
     if len(steps) < FEWEST_FRAMES or not swum.any():
         return False
-    c = _response(steps, swum)
+    c = response(steps, swum)
     breadth = BORDER * float(np.sqrt(np.mean(np.abs(steps - c * swum) ** 2) / 2))
     out = np.ascontiguousarray((NORMALS.conj()[:, None] * z).real)
     outer = round((1 - INNER) * (len(z) - 1))
@@ -132,13 +148,12 @@ class HeldWatch:
     def __init__(self, rolls: bool = False) -> None:
         self._rolls = rolls
         self.held: set[int] = set()
-        self._tracks: dict[int, deque[tuple[float, complex, complex, complex]]] = {}
+        self._pasts: dict[int, _Past] = {}
         self._ways: dict[int, complex] = {}
         self._carried: dict[int, complex] = {}
         self._sampled = -np.inf
         self._turn = 0
         self._to_look_at: set[int] = set()
-        self._swam: dict[int, float] = {}  # speed before, of those that stand
 
     def add(self, t: float, ids: np.ndarray, z: np.ndarray, seen: np.ndarray,
             moved: dict[int, tuple[complex, complex]]) -> list[int]:
@@ -173,15 +188,14 @@ class HeldWatch:
         if t - self._sampled >= SAMPLE:
             self._sampled = t
             self._to_look_at = set(names)
-            self._tracks = {name: self._tracks.get(name, deque(maxlen=round(SECONDS / SAMPLE)))
-                            for name in names}
-            self._swam = {name: self._swam[name] for name in names if name in self._swam}
+            self._pasts = {name: self._pasts.get(name) or _Past() for name in names}
             for name, place, there in zip(names, z.tolist(), seen.tolist(), strict=True):
                 if there:
-                    self._tracks[name].append((t, place, self._ways[name], self._carried[name]))
+                    self._pasts[name].track.append((t, place, self._ways[name],
+                                                    self._carried[name]))
         before = self.held & set(names)
         self.held = set(before)
-        if names:  # one per frame, since each takes half a millisecond
+        if names:  # one per frame, since each takes most of a millisecond
             self._turn = (self._turn + 1) % len(names)
             if (name := names[self._turn]) in self._to_look_at:
                 self._to_look_at.discard(name)
@@ -189,41 +203,74 @@ class HeldWatch:
         return sorted(before - self.held)
 
     def _look(self, name: int) -> None:
-        track = np.array(self._tracks.get(name, ()), complex).reshape(-1, 4)
-        t, z, way, carried = track.T
-        steps, joined = np.diff(z - carried), np.diff(t.real) < 3 * SAMPLE
-        swum = np.diff(way)[joined]
-        held = is_held(z[:-1][joined], steps[joined], swum, _legs(np.angle(swum)))
-        held |= not self._rolls and self._stands(name, steps[joined], swum)
+        past = self._pasts.get(name) or _Past()
+        t, z, way, carried = np.array(past.track, complex).reshape(-1, 4).T
+        joined = np.diff(t.real) < 3 * SAMPLE
+        steps, swum = np.diff(z - carried)[joined], np.diff(way)[joined]
+        last = slice(-round(SECONDS / SAMPLE), None)
+        held = is_held(z[:-1][joined][last], steps[last], swum[last],
+                       _legs(np.angle(swum[last])))
+        if not held or past.blocked:  # a speed that is learned from a held particle is wrong
+            held |= not self._rolls and past.is_blocked(t[1:][joined].real, steps, swum)
+        if name in self.held and not held:
+            past.free_since = t[-1].real - FIRST[0]
         (self.held.add if held else self.held.discard)(name)
 
-    def _stands(self, name: int, steps: np.ndarray, swum: np.ndarray) -> bool:
-        """Return whether a particle that swam now stands still, be it under one command."""
-        last = round(STILL / SAMPLE)
-        now, way = steps[-last:], swum[-last:]
-        if len(steps) < 2 * last or not (way.any() and swum[:-last].any()):
-            return name in self._swam
-        found = abs(_response(now, way))
-        if name in self._swam:
-            stands = found < LOOSE * self._swam[name]
-        else:
-            before, earlier = steps[:-last], swum[:-last]
-            c = _response(before, earlier)
-            spread = float(np.sqrt(np.mean(np.abs(before - c * earlier) ** 2) / 2))
-            expected, places = abs(c * way.sum()), np.cumsum(now)
-            moved = 2 * float(np.abs(places - places.mean()).max())
-            stands = (found < HELD * abs(c) and moved < HELD * expected
-                      and expected > 2 * SURE * spread * last ** 0.5)
-            if stands:
-                self._swam[name] = abs(c)
-        if not stands:
-            self._swam.pop(name, None)
-        return stands
 
+@dataclass
+class _Past:
+    """Recent past of a particle.
 
-def _response(steps: np.ndarray, swum: np.ndarray) -> complex:
-    """Return the c that fits `steps` (T,) [m] best to c times `swum` (T,)."""
-    return complex(np.vdot(swum, steps) / np.vdot(swum, swum))
+    Attributes
+    ----------
+    track : deque of (float, complex, complex, complex)
+        Time [s], position [m], and the displacements since the first frame for v e^{iφ} = 1 and by
+        drift [m].
+    free_since : float
+        Time [s] since when nothing holds it.
+    swimming : Swimming, optional
+        How it swam before it was blocked last.
+    blocked : bool
+        Whether something is in its way.
+    """
+
+    track: deque[tuple[float, complex, complex, complex]] = field(
+        default_factory=lambda: deque(maxlen=round(MEMORY / SAMPLE)))
+    free_since: float = -math.inf
+    swimming: Swimming | None = None
+    blocked: bool = False
+
+    def is_blocked(self, t: np.ndarray, steps: np.ndarray, swum: np.ndarray) -> bool:
+        """Return whether something is in its way, from its latest steps and those before.
+
+        Parameters
+        ----------
+        t : ndarray, shape (T,)
+            Time of each step [s].
+        steps, swum : ndarray of complex, shape (T,)
+            Steps [m], and the expected ones for v e^{iφ} = 1.
+
+        Returns
+        -------
+        bool
+            As before where the latest step has no command.
+        """
+        if not swum[-1:].any():  # where it swims without a command is not known
+            return self.blocked
+        t, steps, swum = t[swum != 0], steps[swum != 0], swum[swum != 0]
+        if self.blocked and self.swimming:
+            self.blocked = any(
+                self.swimming.is_blocked(steps[-count:], swum[-count:], margin=0.0)
+                for count in (round(seconds / SAMPLE) for seconds in AGAIN))
+            return self.blocked
+        first = int(np.searchsorted(t, self.free_since))
+        for count in (round(seconds / SAMPLE) for seconds in FIRST):
+            if len(t) - first < count:
+                break
+            known = Swimming.of(steps[first:-count], swum[first:-count]) or self.swimming
+            if known and known.is_blocked(steps[-count:], swum[-count:], CLEARLY):
+                self.blocked, self.swimming = True, known
+        return self.blocked
 
 
 def _legs(direction: np.ndarray) -> np.ndarray:

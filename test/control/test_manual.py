@@ -72,7 +72,7 @@ class Answers(Manual):
 
 
 def asked(command: FieldCommand, **inputs: object) -> tuple[FieldCommand | None, str]:
-    manager = ControllerManager({'it': Answers(command)}, 'it')
+    manager = ControllerManager({'it': Answers(command)}, 'it', deadline=5.0)
     outcome = manager.tick(controller_input(limits=LIMITS, **inputs))
     manager.close()
     return outcome.command, outcome.message
@@ -95,7 +95,7 @@ def test_the_manager_lets_none_pass_that_is_no_field(command):
 
 def test_the_slew_counts_the_part_along_z():
     up = FieldCommand(np.array([0.0, 0.0, 5e-3]))
-    manager = ControllerManager({'it': Answers(up)}, 'it')
+    manager = ControllerManager({'it': Answers(up)}, 'it', deadline=5.0)
     slow = dataclasses.replace(LIMITS, slew=0.1)
     strengths = []
     for k in range(7):

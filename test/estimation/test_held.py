@@ -9,18 +9,20 @@ from microbot_ros.common.records import Conditions
 from microbot_ros.estimation import held as held_module
 from microbot_ros.estimation.held import SAMPLE, HeldWatch
 from microbot_ros.estimation.online.estimator import Estimator
+from microbot_ros.estimation.swimming import Swimming
 
 RATE, FIELD = 30.0, 5e-3
 DIFFUSION, READ = 0.2e-12, 5e-8
 SPEED, PHI = 4.1e-6, 0.4
 
 
-def swim(seconds, direction, *, wall=None, start=(0.0, 0.0), flow=(0.0, 0.0), driven=np.inf,
-         seed=0):
+def swim(seconds, direction, *, wall=None, floor=None, start=(0.0, 0.0), flow=(0.0, 0.0),
+         driven=np.inf, slower=None, seed=0):
     """Answers (t, speed [m/s], sentences) of the estimator for one particle, frame by frame.
 
     The command points to `direction(t)` [rad], until `driven` [s]: from then on there is none, and
-    the heading stays. Nothing passes x = `wall` [m].
+    the heading stays. The speed is `slower(t)` times SPEED. Nothing passes x = `wall` [m] and
+    y = `floor` [m].
     """
     random = np.random.default_rng(seed)
     estimator, told = Estimator(), []
@@ -34,10 +36,13 @@ def swim(seconds, direction, *, wall=None, start=(0.0, 0.0), flow=(0.0, 0.0), dr
         told.append((t, float(found.speed[0]), found.diagnosis))
         assert (7 in found.unknown_because) == ('particle 7: held' in ''.join(found.diagnosis))
         heading = angle + PHI
-        place = place + (SPEED * np.array([np.cos(heading), np.sin(heading)]) + flow) / RATE
+        speed = SPEED * (slower(t) if slower else 1.0)
+        place = place + (speed * np.array([np.cos(heading), np.sin(heading)]) + flow) / RATE
         place += random.normal(0, np.sqrt(2 * DIFFUSION / RATE), 2)
         if wall is not None:
             place[0] = min(place[0], wall)
+        if floor is not None:
+            place[1] = max(place[1], floor)
     return told
 
 
@@ -53,6 +58,10 @@ def every_way(t):
 def around(t):
     """There and back, so that it stays about where it is."""
     return np.pi * (int(t / 2) % 2) + 0.3 * t
+
+
+def slowly(t):
+    return 0.1 * t
 
 
 def held(told):
@@ -79,7 +88,7 @@ def test_it_is_known_again_once_it_swims_freely(seed):
 
 
 @pytest.mark.parametrize('flow', [(0.0, 0.0), (1e-6, -1e-6)])
-@pytest.mark.parametrize('direction', [every_way, around, pressing])
+@pytest.mark.parametrize('direction', [every_way, around, pressing, slowly])
 @pytest.mark.parametrize('seed', SEEDS)
 def test_who_swims_freely_is_never_held(direction, flow, seed):
     told = swim(40.0, direction, flow=flow, seed=seed)
@@ -113,6 +122,36 @@ def test_it_is_known_again_once_another_command_leads_it_away(seed):
     assert told[-1][1] == pytest.approx(SPEED, rel=0.15)
 
 
+@pytest.mark.parametrize(('angle', 'turn'), [(0.6, 0.0), (-0.6, 0.03), (-0.3, 0.03)])
+@pytest.mark.parametrize('seed', SEEDS)
+def test_what_slides_along_a_wall_has_no_speed_and_says_why(angle, turn, seed):
+    """Under a command that turns slowly or not at all, at an `angle` to the wall's normal."""
+    told = swim(30.0, lambda t: 0.9 * t if t < 14 else angle + turn * (t - 14) - PHI, wall=12e-6,
+                start=(-3e-6, 0.0), seed=seed)
+    assert 14 < held(told)[0] < 26
+    assert all(np.isnan(speed) for t, speed, _ in told if t > held(told)[0] + 0.1)
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+def test_what_slides_into_a_corner_and_on_is_held_until_it_leaves(seed):
+    """Along one edge of the image, into its corner, along the next, and away."""
+    told = swim(100.0, lambda t: 0.9 * t if t < 14 else 0.6 - 0.05 * (t - 14) - PHI, wall=12e-6,
+                floor=-20e-6, start=(-3e-6, 0.0), seed=seed)
+    times = held(told)
+    assert 14 < times[0] < 26
+    assert times == [t for t, *_ in told if times[0] <= t <= times[-1]]
+    # It leads away from 88.8 s on; 35° from the edge, before, both explain the motion.
+    assert 76 < times[-1] < 95
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+@pytest.mark.parametrize('slower', [
+    lambda t: np.exp(-t / 120), lambda t: 1.0 if t < 30 else 0.6])
+def test_who_becomes_slower_is_not_held(slower, seed):
+    told = swim(60.0, lambda t: 2.1 * (t // 3), slower=slower, seed=seed)
+    assert held(told) == []
+
+
 def test_a_roller_that_steps_out_is_not_held():
     """Beyond its step-out frequency it stands, wherever it is."""
     random, place, told = np.random.default_rng(3), np.zeros(2), []
@@ -128,6 +167,29 @@ def test_a_roller_that_steps_out_is_not_held():
         place = place + speed / RATE * np.array([np.cos(0.9 * t + PHI), np.sin(0.9 * t + PHI)])
         place += random.normal(0, np.sqrt(2 * DIFFUSION / RATE), 2)
     assert held(told) == []
+
+
+def test_how_it_swims_is_not_known_from_one_command_few_steps_or_noise():
+    ways = 0.1 * np.exp(0.1j * np.arange(100))
+    assert Swimming.of(SPEED * ways, ways).c == pytest.approx(SPEED)
+    assert Swimming.of(SPEED * ways[:50], ways[:50]) is None
+    assert Swimming.of(SPEED * np.full(100, 0.1 + 0j), np.full(100, 0.1 + 0j)) is None
+    assert Swimming.of(np.zeros(100, complex), np.zeros(100, complex)) is None
+    noise = np.random.default_rng(0).normal(0, 3e-6, (2, 100))
+    assert Swimming.of(SPEED * ways + noise[0] + 1j * noise[1], ways) is None
+
+
+@pytest.mark.parametrize('flow', [0, 0.05e-6 - 0.02e-6j])
+def test_a_wall_takes_the_part_of_the_motion_into_it(flow):
+    ways = 0.1 * np.exp(0.05j * np.arange(100))
+    known = Swimming.of(SPEED * ways + flow, ways)
+    steps = SPEED * ways[:30] + flow
+    assert not known.is_blocked(steps, ways[:30], 0.0)
+    for wall in np.exp(1j * np.array([0.8, 2.0, -1.0])):
+        slides = (steps / wall).real * wall
+        assert known.is_blocked(slides, ways[:30], 10.0)
+    for other in (0.5, 0.9j, -1, 2):  # slower, turned, both, faster
+        assert not known.is_blocked(other * SPEED * ways[:30] + flow, ways[:30], 0.0)
 
 
 def test_a_particle_is_looked_at_once_for_every_sample():
