@@ -112,7 +112,8 @@ export class View {
     this.pan = this.pan.map((one, axis) => Math.min(Math.max(one, -room[axis]), room[axis]));
     Object.assign(this.frame.style, { width: `${size[0]}px`, height: `${size[1]}px`,
       left: `${(clientWidth - size[0]) / 2 + this.pan[0]}px`, top: `${(clientHeight - size[1]) / 2 + this.pan[1]}px` });
-    this.frame.parentElement.style.setProperty('--shown', `${Math.min(size[1], clientHeight)}px`);
+    this.frame.parentElement.style.setProperty('--wide', `${Math.min(size[0], clientWidth)}px`);
+    this.frame.parentElement.style.setProperty('--high', `${Math.min(size[1], clientHeight)}px`);
     this.changed?.();
   }
 }
