@@ -109,7 +109,7 @@ def test_from_here_to_there_at_the_pace_of_its_clock(ros: Any, session: Path) ->
     assert stamps == pytest.approx(np.arange(60, 271) / 30, abs=1e-6)
     assert (np.diff(clock) >= 0).all()
     assert clock[-1] <= 9.0
-    assert len(clock) > 3  # of 140, where the machine stands still for a third of a second
+    assert len(clock) > 10
 
 
 @pytest.mark.parametrize('rate', [0.1, 100.0])
