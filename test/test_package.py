@@ -93,8 +93,8 @@ MORE = ('axe_playwright_python', 'dask', 'distributed', 'duckdb', 'furo', 'gymna
         'pyarrow', 'pymmcore', 'pypylon', 'pysindy', 'sphinx', 'starlette', 'trackpy', 'uvicorn')
 NEED_MORE = ('archive/test_batch', 'archive/test_cluster', 'archive/test_imports',
              'control/test_policy',
-             'magnetics/test_allocation', 'magnetics/test_allocation_anywhere',
-             'magnetics/test_shapes', 'magnetics/test_sources', 'nodes/test_calibrated_coils')
+             'magnetics/test_allocation', 'magnetics/test_shapes', 'magnetics/test_sources',
+             'nodes/test_calibrated_coils')
 WITHOUT = """
 import sys
 from importlib.machinery import PathFinder

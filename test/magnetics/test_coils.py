@@ -59,16 +59,6 @@ def test_gain_and_sign_scale_one_coil():
     np.testing.assert_allclose(changed.background, (2e-5, -4.5e-5))
 
 
-def test_coil_wound_on_a_polygon_approaches_the_round_one():
-    angles = np.linspace(0, 2 * np.pi, 400, endpoint=False)
-    # Counterclockwise about +x: from y to z.
-    corners = 20 * np.column_stack([0 * angles, np.cos(angles), np.sin(angles)])
-    content = windings(vertices_mm=corners.tolist(), radius_mm=None, axis=None)
-    polygon = CoilSet(CoilSettings.from_content({'windings': content}))
-    np.testing.assert_allclose(
-        polygon.actuation_matrix()[:, 1], CoilSet().actuation_matrix()[:, 1], rtol=2e-4, atol=1e-9)
-
-
 @pytest.mark.parametrize(('change', 'complaint'), [
     ({'radius_mm': 0}, 'radius_mm.*greater than 0'),
     ({'radius_mm': -20}, 'radius_mm.*greater than 0'),

@@ -6,24 +6,13 @@ import numpy as np
 import pytest
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.units import MU_0
-from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings, Loop
+from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 from microbot_ros.magnetics.force import (
     MagneticParticle,
     force,
     force_speed,
     negligible_radius,
 )
-
-
-def test_force_on_a_moment_on_the_axis_of_a_loop():
-    a, z, moment = 0.02, 0.013, 3e-13
-    gradient = Loop(a, (0, 0, 0), (0, 0, 1)).gradient_per_ampere([[0, 0, z]])
-    along = force(np.array([0, 0, moment]), gradient)[0]
-    slope = -1.5 * MU_0 * a**2 * z / (a**2 + z**2)**2.5
-    np.testing.assert_allclose(along, (0, 0, moment * slope), rtol=1e-13, atol=1e-40)
-    across = force(np.array([moment, 0, 0]), gradient)[0]
-    np.testing.assert_allclose(across, (-moment * slope / 2, 0, 0), rtol=1e-13, atol=1e-40)
 
 
 def test_force_is_the_slope_of_the_energy():

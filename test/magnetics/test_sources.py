@@ -125,19 +125,6 @@ def test_gradient_beside_the_wire(power):
     assert gradient[0, 2, 0] == pytest.approx(straight, rel=2 * near)
 
 
-def test_loop_without_divergence_and_curl():
-    points = np.random.default_rng(2).normal(0, RADIUS, (300, 3))
-    gradient = FLAT.gradient_per_ampere(points)
-    size = np.linalg.norm(gradient, axis=(1, 2))
-    assert (np.abs(np.trace(gradient, axis1=1, axis2=2)) < 1e-14 * size).all()
-    assert (np.abs(gradient - gradient.swapaxes(1, 2)).max(axis=(1, 2)) < 1e-14 * size).all()
-    # The field itself, whose gradient the formulas could misreport.
-    measured = differences(FLAT, points[size < 0.1], 1e-5)
-    scale = np.linalg.norm(measured, axis=(1, 2))
-    assert (np.abs(np.trace(measured, axis1=1, axis2=2)) < 1e-7 * scale).all()
-    assert (np.abs(measured - measured.swapaxes(1, 2)).max(axis=(1, 2)) < 1e-7 * scale).all()
-
-
 def test_polygon_converges_to_the_loop_as_the_square_of_its_sides():
     points = np.random.default_rng(3).normal(0, 0.3 * RADIUS, (50, 3))
     errors = {}
