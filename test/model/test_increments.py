@@ -88,15 +88,6 @@ def test_a_block_from_the_middle_remembers_the_commands_before_it():
     np.testing.assert_allclose(block, whole[60:], rtol=1e-9, atol=1e-18)
 
 
-def test_coarse_frames_sum_fine_ones():
-    for name in ('baseline', 'rolling', 'lag', 'camera'):
-        model = MODELS[name]
-        fine = increments(model, PARTICLES, Timeline(COMMANDS, TIMES[:149]))
-        coarse = increments(model, PARTICLES, Timeline(COMMANDS, TIMES[:149:4]))
-        np.testing.assert_allclose(
-            coarse, fine.reshape(-1, 4, 3, 2).sum(axis=1), rtol=2e-5, atol=1e-15, err_msg=name)
-
-
 def test_a_turned_heading_is_felt_as_the_sensitivity_says():
     model = Model(B, effects=(AlignmentLag(0.3), PixelAnisotropy(1.1), SpeedDecay(30.0)))
     felt = heading_response(model, PARTICLES, Timeline(COMMANDS, TIMES))
@@ -109,14 +100,6 @@ def test_a_turned_heading_is_felt_as_the_sensitivity_says():
         np.testing.assert_allclose(felt.heading_sensitivity[k], slope, rtol=1e-6, atol=1e-14)
         turned = np.angle(ends[0].heading[-1] / ends[1].heading[-1]) / 2e-5
         np.testing.assert_allclose(felt.heading_retention[k], turned, rtol=1e-6)
-
-
-def test_the_heading_path_is_that_of_the_increments():
-    felt = heading_response(MODELS['lag'], PARTICLES, Timeline(COMMANDS, TIMES))
-    moved = increments(MODELS['lag'], PARTICLES, Timeline(COMMANDS, TIMES))
-    middle = np.angle(np.exp(1j * felt.theta[:-1]) + np.exp(1j * felt.theta[1:]))
-    off = np.angle(moved @ [1, 1j] * np.exp(-1j * middle))
-    assert np.median(np.abs(off)) < 1e-3
 
 
 def test_alignment_at_once_forgets_a_turned_heading_and_no_field_keeps_it():

@@ -16,7 +16,7 @@ from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
 from microbot_ros.model.effects.velocity.periodic_drift import PeriodicDrift
 from microbot_ros.model.effects.velocity.speed_decay import SpeedDecay
 from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
-from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.model import Model
 from microbot_ros.model.parameter import parameter
 
 
@@ -69,13 +69,6 @@ def test_a_baseline_takes_its_reference_from_the_conditions_or_the_commands():
     assert Model.baseline(Conditions(), commands) == Model(2e-3)
     silent = Commands(np.zeros(0), np.zeros((0, 2)))
     assert Model.baseline(Conditions(), silent) == Model(1e-3)
-
-
-def test_velocity_in_the_frame_of_the_field_and_back():
-    particles = ParticleParameters(np.array([4, 7]), np.array([1e-6, 2e-6]), np.array([0.3, -3.0]))
-    back = ParticleParameters.from_velocity_phasor(particles.ids, particles.velocity_phasor)
-    np.testing.assert_allclose(back.speed, particles.speed)
-    np.testing.assert_allclose(back.phi, particles.phi)
 
 
 @dataclass(frozen=True)

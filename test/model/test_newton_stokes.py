@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from microbot_ros.common.records import Commands
-from microbot_ros.model.first_order import simulate
-from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.physics.langevin import align_heading
 from microbot_ros.model.physics.newton_stokes import newton_stokes, stokes_translation
 from microbot_ros.model.physics.particle import (
@@ -54,41 +52,12 @@ def exact_translation(fluid, particles, commands, times, start):
     return path
 
 
-def first_order(times):
-    particles = ParticleParameters(np.arange(3), speed_from_force(FLUID, RADIUS, FORCES), PHIS)
-    return simulate(Model(5e-3), particles, COMMANDS, times, START)
-
-
 def test_stiff_solver_agrees_with_the_closed_form_while_the_speed_builds_up():
     times = np.concatenate((np.linspace(0, 4e-5, 41), [1.0, 1.000003, 1.00001, 2.4]))
     solved = stokes_translation(FLUID, three(), COMMANDS, times, START)
     exact = exact_translation(FLUID, three(), COMMANDS, times, START)
     assert np.abs(solved - exact).max() < 1e-14
     assert np.abs(exact[5] - START).max() > 1e-13  # it does move meanwhile
-
-
-def test_terminal_speed_and_95_percent_after_three_time_constants():
-    tau = translational_time(FLUID, RADIUS, MASS)
-    step = tau / 1000
-    times = np.array([0.0, tau, tau + step, 3 * tau, 3 * tau + step, 0.5, 0.5 + 1e-3])
-    path = exact_translation(FLUID, three(), COMMANDS, times, START)
-    steady = speed_from_force(FLUID, RADIUS, FORCES)
-    speeds = [
-        np.linalg.norm(path[k + 1] - path[k], axis=-1) / (times[k + 1] - times[k])
-        for k in (1, 3, 5)]
-    for speed, reached in zip(speeds, (1 - math.exp(-1), 1 - math.exp(-3), 1.0), strict=True):
-        assert speed / steady == pytest.approx(reached, abs=5e-4)
-
-
-@pytest.mark.parametrize('mass', [MASS, 100 * MASS])
-def test_first_order_is_off_by_the_time_constant_times_the_change_of_speed(mass):
-    """The lag of Newton–Stokes behind the first-order path is τ·Δv, so it is O(τ)."""
-    times = np.array([0.0, 0.8, 1.5, 2.4])
-    path = exact_translation(FLUID, three(mass), COMMANDS, times, START)
-    behind = np.linalg.norm(first_order(times) - path, axis=-1)[1:]
-    lag = translational_time(FLUID, RADIUS, mass) * speed_from_force(FLUID, RADIUS, FORCES)
-    # From rest to v₁, to v₂, to v₃ the lags telescope to τ v of the leg under way.
-    assert behind == pytest.approx(np.broadcast_to(lag, behind.shape), rel=1e-3)
 
 
 def test_rotating_with_a_strong_moment_is_translation_alone():
@@ -118,10 +87,3 @@ def test_without_a_field_nothing_propels_what_follows_at_once():
         path = method(FLUID, three(), commands, times, START)
         assert np.array_equal(path[1], START)
         assert np.abs(path[2] - START).max() > 1e-6
-
-
-def test_rows_do_not_depend_on_which_times_are_asked_for():
-    dense = np.linspace(0, 2.4, 49)
-    all_rows = exact_translation(FLUID, three(), COMMANDS, dense, START)
-    some = exact_translation(FLUID, three(), COMMANDS, dense[::7], START)
-    assert some == pytest.approx(all_rows[::7], rel=1e-12)
