@@ -86,6 +86,7 @@ class Parameter:
             Value within the bounds, SI. The reciprocal of 0 is infinity.
         """
         if self.inverse:
+            coordinate = max(coordinate, self.fit_bounds[0])
             value = self.scale / coordinate if coordinate else float('inf')
         else:
             value = self.null_value + coordinate * self.scale

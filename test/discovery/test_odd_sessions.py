@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from microbot_ros.common.records import Tracks
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.intervals import Intervals
@@ -18,9 +17,10 @@ from microbot_ros.discovery.report.prediction import predict
 from microbot_ros.discovery.report.residual import residual
 from microbot_ros.discovery.result import Learned, NamedEffect
 from microbot_ros.estimation.likelihood.joint import Whitening
-from microbot_ros.estimation.likelihood.model_fit import evaluate, fit_noise
+from microbot_ros.estimation.likelihood.model_fit import evaluate, fit_noise, maximise
 from microbot_ros.estimation.likelihood.prepared_session import predictable_part
 from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.io.model_file import read_model, write_model
 from microbot_ros.model.learned_term import AXES, COVARIATES, VALUES, LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.virtual_rig.record_session import Camera
@@ -30,9 +30,7 @@ THIRTY, TEN = (Camera(rate, 0.0, 0.1e-6) for rate in (30.0, 10.0))
 
 def kept(session, rows):
     """Return the `session` with some `rows` (M,) bool of its tracks."""
-    t = session.tracks
-    return replace(session, tracks=Tracks(
-        t.t[rows], t.particle[rows], t.position[rows], t.theta[rows], t.sigma[rows]))
+    return replace(session, tracks=session.tracks.rows(rows))
 
 
 def later(session, seconds):
@@ -119,7 +117,10 @@ def judged_fixture(swimmers):
 
 @pytest.mark.parametrize('end', ['low', 'high'])
 @pytest.mark.parametrize('name', EFFECTS)
-def test_an_effect_at_its_bound(film, swimmers, judged, name, end):
+def test_an_effect_at_its_bound(film, swimmers, judged, tmp_path, name, end):
+    """A gain ratio of 0.19999999999999996 was once below its bound of 0.2, and an interval that
+    reached beyond infinity ended at the other bound.
+    """
     session = swimmers if name != 'drive_response' else film(
         11, duration=8.0, camera=TEN, rolling=True)[0]
     prepared, _ = check_sessions([session])
@@ -132,10 +133,19 @@ def test_an_effect_at_its_bound(film, swimmers, judged, name, end):
     json.dumps(entry.as_json(), allow_nan=False)
     assert 'nan' not in entry.sentence()
     main = last.session.main
-    found = replace(
-        judged, model=model, diffusion=known.diffusion(), localisation=known.localisation(),
-        particles=ParticleParameters.from_velocity_phasor(
-            last.session.ids[main], last.velocity_phasor[main]))
+    particles = ParticleParameters.from_velocity_phasor(
+        last.session.ids[main], last.velocity_phasor[main])
+    back = fit.model.with_vector(fit.model.vector())
+    write_model(tmp_path / 'model.yaml', back, particles)
+    assert read_model(tmp_path / 'model.yaml')[0] == back
+    for p, value in back.effect(name).values().items():
+        assert p.low <= value <= p.high
+    for estimate in Intervals(maximise(fit)).effect(name).values():
+        estimate.as_json('x')
+        assert not estimate.low > estimate.value
+        assert not estimate.high < estimate.value
+    found = replace(judged, model=model, diffusion=known.diffusion(),
+                    localisation=known.localisation(), particles=particles)
     prediction = predict(found, residual(found, session))
     assert np.isfinite(prediction.measured).any()
 

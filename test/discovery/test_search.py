@@ -15,13 +15,9 @@ from microbot_ros.discovery.check.tail_probabilities import (
 )
 from microbot_ros.discovery.evidence import FitEvidence
 from microbot_ros.discovery.hypotheses import fit_first_order
-from microbot_ros.discovery.intervals import Intervals
 from microbot_ros.discovery.search import compare, fit_candidate
 from microbot_ros.discovery.starting_points import rotating_components
-from microbot_ros.estimation.likelihood.model_fit import fit_sessions, maximise
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.model.io.model_file import read_model, write_model
-from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.session.tables.folder import NOMINAL_FIELD
 from microbot_ros.virtual_rig.commands import rotating
 
@@ -143,25 +139,3 @@ def test_fits_begin_inside_the_bounds(film, rolling):
             assert isinstance(start, kind)
             for p, value in start.values().items():
                 assert p.low <= value <= p.high, p.name
-
-
-@pytest.mark.parametrize('end', ['low', 'high'])
-@pytest.mark.parametrize('name', EFFECTS)
-def test_an_effect_at_its_bound_goes_through_fit_result_and_file(film, tmp_path, name, end):
-    """A gain ratio of 0.19999999999999996 was once below its bound of 0.2."""
-    rolling = name == 'drive_response'
-    session, _ = film(40, duration=8.0, count=2, rolling=rolling)
-    prepared, _ = check_sessions([session])
-    effect = EFFECTS[name](**{p.field: getattr(p, end) for p in EFFECTS[name].parameters()})
-    plain = fit_sessions(Model.baseline(session.conditions, session.commands), prepared)
-    fit = plain.under(plain.model.with_effect(effect))
-    back = fit.model.with_vector(fit.model.vector())
-    write_model(tmp_path / 'model.yaml', back, ParticleParameters.from_velocity_phasor(
-        prepared[0].ids, fit.session_fits[0].velocity_phasor))
-    assert read_model(tmp_path / 'model.yaml')[0] == back
-    for p, value in back.effect(name).values().items():
-        assert p.low <= value <= p.high
-    for estimate in Intervals(maximise(fit)).effect(name).values():
-        estimate.as_json('x')
-        assert not estimate.low > estimate.value
-        assert not estimate.high < estimate.value

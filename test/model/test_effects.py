@@ -22,6 +22,8 @@ def test_parameters_are_in_si_in_files_and_fits_and_lookalikes_name_each_other(e
         value = getattr(plain(effect), p.field)
         assert p.from_fit(p.to_fit(value)) == pytest.approx(value, rel=1e-12)
         assert p.fit_bounds[0] <= p.to_fit(value) <= p.fit_bounds[1]
+        for bound, beyond in zip(p.fit_bounds, (-1.0, 1.0), strict=True):
+            assert p.from_fit(bound + beyond) == pytest.approx(p.from_fit(bound), rel=1e-12)
     assert effect.confounded_with
     for other in effect.confounded_with:
         named_back = EFFECTS[other].confounded_with
