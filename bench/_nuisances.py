@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from microbot_ros.common.records import Session, Tracks
+from microbot_ros.common.records import Session
 from microbot_ros.model.physics.particle import Fluid, rotational_drag, stokes_drag
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
@@ -271,10 +271,7 @@ def _moved(session: Session, by: np.ndarray) -> Session:
 
 
 def _kept(session: Session, rows: np.ndarray) -> Session:
-    tracks = session.tracks
-    return replace(session, tracks=Tracks(
-        tracks.t[rows], tracks.particle[rows], tracks.position[rows], tracks.theta[rows],
-        tracks.sigma[rows]))
+    return replace(session, tracks=session.tracks.rows(rows))
 
 
 @dataclass(frozen=True)

@@ -52,11 +52,23 @@ class Tracks:
         Tracks
             Rows of these.
         """
-        rows = np.isin(self.particle, particles)
-        return Tracks(
-            self.t[rows], self.particle[rows], self.position[rows], self.theta[rows],
-            self.sigma[rows],
-        )
+        return self.rows(np.isin(self.particle, particles))
+
+    def rows(self, chosen: np.ndarray | slice) -> Tracks:
+        """Return the `chosen` rows.
+
+        Parameters
+        ----------
+        chosen : ndarray or slice
+            Mask (M,) or indices of the rows.
+
+        Returns
+        -------
+        Tracks
+            These rows.
+        """
+        return Tracks(self.t[chosen], self.particle[chosen], self.position[chosen],
+                      self.theta[chosen], self.sigma[chosen])
 
     def grid(self) -> tuple[np.ndarray, np.ndarray]:
         """Return frame times (T,) and positions (T, N, 2) by `particles`, NaN in gaps.

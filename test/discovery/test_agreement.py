@@ -12,14 +12,6 @@ from microbot_ros.estimation.batch import fit
 from microbot_ros.virtual_rig.record_session import Camera
 
 
-def rows(session, kept):
-    """The session with some rows of its tracks."""
-    tracks = session.tracks
-    return replace(session, tracks=replace(tracks, **{
-        name: getattr(tracks, name)[kept] for name in (
-            't', 'particle', 'position', 'theta', 'sigma')}))
-
-
 def torn(session):
     """With jumps of one particle, another that is seen for a second only, and time of day."""
     tracks, commands = session.tracks, session.commands
@@ -30,7 +22,8 @@ def torn(session):
         session, tracks=replace(tracks, t=tracks.t + 1.7e9, position=position),
         commands=replace(commands, t=commands.t + 1.7e9))
     early = session.tracks.t < 1.7e9 + 10.0
-    return rows(session, (tracks.particle != 1) | (early & (session.tracks.t > 1.7e9 + 9.0)))
+    return replace(session, tracks=session.tracks.rows(
+        (tracks.particle != 1) | (early & (session.tracks.t > 1.7e9 + 9.0))))
 
 
 def with_uneven_frames(session):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from laboratories import rolling_recording
 
-from microbot_ros.common.records import Commands, Session, SpeedWindow, Tracks
+from microbot_ros.common.records import Commands, Session, SpeedWindow
 from microbot_ros.response.plateaus import respond
 
 
@@ -90,13 +90,10 @@ def test_swimmers_against_the_strength_of_their_field():
 
 def test_leaps_and_gaps_are_no_motion():
     session = rolling_recording()
-    position = session.tracks.position.copy()
-    position[40:] += 4e-4
-    keep = np.ones(len(position), bool)
+    session.tracks.position[40:] += 4e-4
+    keep = np.ones(len(session.tracks.t), bool)
     keep[200:230] = False
-    tracks = Tracks(*(column[keep] for column in (
-        session.tracks.t, session.tracks.particle, position, session.tracks.theta,
-        session.tracks.sigma)))
+    tracks = session.tracks.rows(keep)
     for one in respond(Session(tracks, session.commands, name='made'), 'frequency',
                        'motion').plateaus:
         assert one.speed.value == pytest.approx(3e-6 * one.level * np.cos(0.1), rel=0.12)
@@ -105,9 +102,7 @@ def test_leaps_and_gaps_are_no_motion():
 @pytest.mark.parametrize('rows', [1, 2, 3])
 def test_almost_nothing_is_no_crash(rows):
     session = rolling_recording()
-    tracks = Tracks(*(column[:rows] for column in (
-        session.tracks.t, session.tracks.particle, session.tracks.position, session.tracks.theta,
-        session.tracks.sigma)))
+    tracks = session.tracks.rows(slice(rows))
     for definition in ('motion', 'tables'):
         found = respond(Session(tracks, session.commands, name='short'), 'frequency', definition)
         assert all(one.frames <= rows for one in found.plateaus)

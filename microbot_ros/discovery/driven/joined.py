@@ -94,9 +94,7 @@ def _driven(one: Session) -> tuple[float, float]:
 
 
 def _between(tracks: Tracks, begin: float, end: float) -> Tracks:
-    keep = (tracks.t >= begin) & (tracks.t < end)
-    return Tracks(tracks.t[keep], tracks.particle[keep], tracks.position[keep],
-                  tracks.theta[keep], tracks.sigma[keep])
+    return tracks.rows((tracks.t >= begin) & (tracks.t < end))
 
 
 def _in_force(commands: Commands, begin: float, end: float) -> Commands:

@@ -153,9 +153,7 @@ def _without_gaps(pieces: list[Tracks], path: Path, said: Assumptions) -> list[T
         seen = np.isfinite(piece.position).all(axis=1)
         gaps += int((~seen).sum())
         if seen.any():
-            result.append(Tracks(
-                piece.t[seen], piece.particle[seen], piece.position[seen], piece.theta[seen],
-                piece.sigma[seen]))
+            result.append(piece.rows(seen))
     if not result:
         raise InputError(path, 'expected positions, found none')
     if gaps:

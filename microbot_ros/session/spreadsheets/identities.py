@@ -103,9 +103,7 @@ def _split(piece: Tracks, follows: bool) -> list[_Stretch]:
     result = []
     for k, start in enumerate(bounds[:-1]):
         rows = slice(start, bounds[k + 1])
-        track = Tracks(*(getattr(piece, name)[rows] for name in (
-            't', 'particle', 'position', 'theta', 'sigma')))
-        result.append(_Stretch(track, usual, interval, follows or k > 0))
+        result.append(_Stretch(piece.rows(rows), usual, interval, follows or k > 0))
     return result
 
 
