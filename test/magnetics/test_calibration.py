@@ -56,6 +56,10 @@ def write(path, values, header=HEADER):
     return path
 
 
+def run(*arguments):
+    return CliRunner().invoke(command, ['coils', *map(str, arguments)], catch_exceptions=False)
+
+
 def test_gains_signs_and_background_are_found_within_their_uncertainty(tmp_path):
     # The thick winding is weaker than the fitted loop by a part that is no error of the fit.
     thickness = np.linalg.norm(per_ampere((0, 0, 0)), axis=1) / np.linalg.norm(
@@ -92,9 +96,7 @@ def test_readings_without_noise_leave_no_doubt(tmp_path):
 def test_command_writes_a_section_that_predicts_the_readings(tmp_path):
     pytest.importorskip('matplotlib')
     path, out = write(tmp_path / 'readings.csv', rows()), tmp_path / 'out'
-    result = CliRunner().invoke(command, [
-        'coils', str(path), '--out', str(out), '--json', str(tmp_path / 'result.json')])
-    assert result.exit_code == 0
+    assert run(path, '--out', out, '--json', tmp_path / 'result.json').exit_code == 0
     assert sorted(item.name for item in out.iterdir()) == [
         'calibration.json', 'calibration.png', 'coils.yaml']
     section = yaml.safe_load((out / 'coils.yaml').read_text())['coils']
@@ -107,8 +109,7 @@ def test_command_writes_a_section_that_predicts_the_readings(tmp_path):
     assert [summary['coils'][name]['sign'] for name in NAMES] == [1, 1, -1, 1]
 
     # What the file says already does not change what the readings say.
-    again = CliRunner().invoke(command, [
-        'coils', str(path), '--out', str(tmp_path / 'again'), '--config', str(out / 'coils.yaml')])
+    again = run(path, '--out', tmp_path / 'again', '--config', out / 'coils.yaml')
     assert again.exit_code == 0
     assert json.loads((tmp_path / 'again' / 'calibration.json').read_text()) == summary
 
@@ -152,8 +153,7 @@ NOTHING = rows()[:0]
 def test_readings_that_say_nothing_write_nothing(values, header, complaint, tmp_path):
     path = write(tmp_path / 'readings.csv', values, header)
     with pytest.raises(InputError, match=complaint) as error:
-        CliRunner().invoke(command, ['coils', str(path), '--out', str(tmp_path / 'out')],
-                           catch_exceptions=False)
+        run(path, '--out', tmp_path / 'out')
     assert '\n' not in str(error.value)
     assert [item.name for item in tmp_path.iterdir()] == ['readings.csv']
 
@@ -168,10 +168,6 @@ def test_files_that_are_none(tmp_path):
     path.write_text(','.join(HEADER) + '\n' + ','.join(['1'] * 9 + ['a bit']) + '\n')
     with pytest.raises(InputError, match=r"readings.csv:2: .* in bz_mT, found 'a bit'"):
         read_readings(path, CoilSettings())
-
-
-def run(*arguments):
-    return CliRunner().invoke(command, ['coils', *map(str, arguments)], catch_exceptions=False)
 
 
 def test_it_starts_from_the_coils_that_a_rig_names_and_says_so(tmp_path):
@@ -245,8 +241,7 @@ def readings_of_six(tmp_path, along='xyz', order=range(6)):
 
 def test_six_coils_are_calibrated_along_three_axes(tmp_path):
     path, out = readings_of_six(tmp_path), tmp_path / 'out'
-    result = run(path, '--config', CONFIG / 'coils_six.yaml', '--out', out)
-    assert result.exit_code == 0
+    assert run(path, '--config', CONFIG / 'coils_six.yaml', '--out', out).exit_code == 0
     found = read_yaml(out / 'coils.yaml', CoilSettings)
     assert (found.axes, found.workspace_mm) == ('xyz', 10)
     signed = [winding.gain * winding.sign for winding in found.windings]

@@ -99,13 +99,6 @@ def test_too_few_and_too_many_coils(count):
         CoilSettings.from_content({'windings': many})
 
 
-def test_settings_round_trip_through_yaml(tmp_path):
-    path = tmp_path / 'rig.yaml'
-    coils = CoilSettings.from_content({'windings': windings(gain=1.07, sign=-1)})
-    path.write_text(yaml.safe_dump({'coils': coils.content('not none')}))
-    assert read_yaml(path, Rig).coils == coils
-
-
 def test_the_rig_of_six_coils_that_is_shipped_is_driven_by_its_coils_and_can_make_its_full_field():
     driver = read_rig(CONFIG / 'rig_six_coils.yaml')['coil_driver']
     file = CONFIG.parent / driver['coils_file']

@@ -1,11 +1,10 @@
 """Learned terms: tables between whose knots the model interpolates, and which fade beyond."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import microbot
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import trapezoid
@@ -185,7 +184,6 @@ def test_terms_are_compared_by_what_they_hold():
 
 def test_simulate_runs_with_it(tmp_path):
     """A flow along x of 2 µm/s in the middle of the dish, felt by particles that stand still."""
-    pytest.importorskip('rich')
     flow = np.zeros((81, 2))
     flow[INNER.ravel(), 0] = 2e-6
     model = Model(5e-3, learned=(term('position', 'laboratory', 'velocity',
@@ -197,10 +195,7 @@ def test_simulate_runs_with_it(tmp_path):
         'fluid: {viscosity_mPa_s: 1.245, temperature_K: 298}\n'
         'camera: {frame_rate_hz: 10, exposure: 0.0, localisation_um: 0.0}\n'
         'commands:\n  steps: {field_mT: 5, dwell_s: [1, 2]}\n')
-    done = subprocess.run(
-        [sys.executable, '-m', 'microbot_ros.cli', 'simulate', str(tmp_path / 'scenario.yaml'),
-         '--out', str(tmp_path / 'out')], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    assert microbot('simulate', tmp_path / 'scenario.yaml', '--out', tmp_path / 'out') == 0
     rows = np.genfromtxt(tmp_path / 'out' / 'tracks.csv', delimiter=',', names=True)
     for particle in (0, 1):
         own = rows[rows['particle'] == particle]
