@@ -5,17 +5,15 @@ import json
 import os
 import re
 import shutil
-from contextlib import nullcontext
 from unittest import mock
 
-import cv2
 import duckdb
 import numpy as np
 import openpyxl
 import polars
 import pytest
 from command_line import microbot
-from laboratories import fill
+from laboratories import fill, write_film
 
 from microbot_ros.archive import Archive, batch, conclude, read_table, work
 from microbot_ros.archive.cluster import ClusterError
@@ -23,32 +21,11 @@ from microbot_ros.common.errors import InputError
 from microbot_ros.session import read_session
 from microbot_ros.session.spreadsheets.sheets import Answers
 
+pytestmark = pytest.mark.usefixtures('serial')
+
 TABLE = 'time (s);x (um);y (um)\n' + ''.join(f'{k / 10};{k};{2 * k}\n' for k in range(20))
-
-
-class Serial:
-    """In place of Dask: does jobs one after the other, and counts them."""
-
-    def __init__(self):
-        self.done = []
-        self.stop_after = None
-
-    def run_jobs(self, _, jobs, report):
-        for job in jobs:
-            if self.stop_after is not None and len(self.done) == self.stop_after[0]:
-                raise self.stop_after[1]
-            work.do(job)
-            self.done.append(job)
-            report(job, '')
-
-
-@pytest.fixture(autouse=True)
-def serial():
-    serial = Serial()
-    with mock.patch.object(batch, 'cluster', return_value=nullcontext()), \
-            mock.patch.object(batch, 'introduced', return_value=''), \
-            mock.patch.object(batch, 'run_jobs', serial.run_jobs):
-        yield serial
+SPOTS = np.arange(30)[:, None, None] * np.array([1, 0]) + np.array([[40, 40], [60, 80]])
+"""Places (30, 2, 2) [px] of two that go right by one pixel a frame."""
 
 
 def settings(task):
@@ -188,7 +165,7 @@ def test_a_folder_of_robots_and_a_renamed_book_are_imported(tmp_path):
 def test_films_become_sessions(tmp_path):
     place = tmp_path / 'films' / 'monday'
     place.mkdir(parents=True)
-    film(place / 'film.avi')
+    write_film(place / 'film.avi', SPOTS)
     (place / 'session.yaml').write_text('pixel_size_um: 0.5\nradius_um: 2\n')
     (place / 'commands.csv').write_text('t_s,bx_mT,by_mT\n0,5,0\n')
     run('track', tmp_path / 'films', tmp_path / 'out')
@@ -203,22 +180,9 @@ def test_films_become_sessions(tmp_path):
     assert np.diff(step[:, 0]).mean() == pytest.approx(0.5e-6, rel=0.02)
 
 
-def film(path, frames=30):
-    """Two dark spots on grey, one pixel further each frame."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*'FFV1'), 10, (160, 120))
-    y, x = np.mgrid[:120, :160]
-    noise = np.random.default_rng(1)
-    for k in range(frames):
-        image = 150 + 3 * noise.standard_normal(x.shape)
-        for at in ((40 + k, 40), (60 + k, 80)):
-            image -= 90 * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / 18)
-        writer.write(cv2.cvtColor(np.clip(image, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR))
-    writer.release()
-
-
 def test_a_film_is_tracked_as_microbot_track_does(tmp_path):
     (tmp_path / 'films').mkdir()
-    film(tmp_path / 'films' / 'film.avi')
+    write_film(tmp_path / 'films' / 'film.avi', SPOTS)
     run('track', tmp_path / 'films', tmp_path / 'out')
     [made] = (tmp_path / 'out' / 'sessions').iterdir()
     assert microbot('track', tmp_path / 'films' / 'film.avi', '--out', tmp_path / 'alone',
@@ -298,14 +262,6 @@ def test_the_command(laboratory, tmp_path, capsys):
     html = (out / 'archive.html').read_text()
     assert 'laboratory' not in html.split('Files that could not be read')[0]
     assert html.count('<img') >= 1
-    for words, problem in (
-            ((laboratory, '--out', out, '--workers', '2', '--scheduler', 'x'), 'either'),
-            ((laboratory / 'no', '--out', out), 'expected a folder of recordings'),
-            (('--out', out), 'FOLDER'), ((laboratory, '--out', out, '--workers', '0'), '1'),
-            ((laboratory, '--out', laboratory / 'bad.csv'), 'expected a folder')):
-        assert microbot('batch', 'fit', *words) == 2
-        [line] = capsys.readouterr().err.strip().splitlines()
-        assert problem in line
 
 
 def test_a_report_that_fails_leaves_the_table_and_is_tried_again(laboratory, tmp_path, capsys):

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
-from contextlib import nullcontext
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from command_line import microbot
+from laboratories import write_film
 
-from microbot_ros.archive import batch, recordings, work
+from microbot_ros.archive import batch, recordings
 from microbot_ros.archive.films import compare
 from microbot_ros.archive.recordings import FileCards, Found, find
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
@@ -21,16 +20,8 @@ from microbot_ros.session import read_session
 SHARED = Path(__file__).parents[2].parent / 'shared' / 'data' / 'speed_vs_frequency'
 PIXEL = 0.5e-6
 FRAMES = 30
+pytestmark = pytest.mark.usefixtures('serial')
 _SETTINGS = {'pixel_size_um': None, 'frame_rate_hz': None, 'tracker': {}}
-
-
-@pytest.fixture(autouse=True)
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Do the jobs in this process, one after the other."""
-    monkeypatch.setattr(batch, 'cluster', lambda *_: nullcontext())
-    monkeypatch.setattr(batch, 'introduced', lambda _: '')
-    monkeypatch.setattr(batch, 'run_jobs', lambda _, jobs, report: [
-        report(job, '') for job in jobs if work.do(job)])
 
 
 def _way(frame: np.ndarray) -> np.ndarray:
@@ -80,19 +71,6 @@ def test_without_tracks_nothing_agrees(tmp_path: Path) -> None:
     assert compare(_tracks(tmp_path / 'tracks.csv', {}), _session(), FRAMES, PIXEL) == []
 
 
-def _film(path: Path) -> None:
-    """Two dark spots on grey that go right by 0.11 px a frame, and one that goes its own way."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*'FFV1'), 10, (160, 120))
-    y, x = np.mgrid[:120, :160]
-    noise = np.random.default_rng(1)
-    for k, (px, py) in enumerate(_way(np.arange(FRAMES)) - (660, 480)):
-        image = 150 + 3 * noise.standard_normal(x.shape)
-        for at in ((px, py), (120 - k, 80)):
-            image -= 90 * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / 18)
-        writer.write(cv2.cvtColor(np.clip(image, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR))
-    writer.release()
-
-
 def _table(path: Path) -> None:
     """A table in pixels, y down, with times that are not the film's."""
     with path.open('w') as stream:
@@ -106,7 +84,9 @@ def test_batch_tracks_the_film_and_compares_it_with_its_table(
         tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place = tmp_path / 'lab'
     place.mkdir()
-    _film(place / 'monday.avi')
+    k = np.arange(FRAMES)
+    own = np.column_stack([120 - k, np.full(FRAMES, 80)])  # the way of another one
+    write_film(place / 'monday.avi', np.stack([_way(k) - (660, 480), own], axis=1))
     _table(place / 'monday.csv')
     (place / 'archive.yaml').write_text('pixel_size_um: 0.5\n')
     assert microbot('batch', 'track', place, '--out', tmp_path / 'out',

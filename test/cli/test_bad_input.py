@@ -16,8 +16,10 @@ import cv2
 import numpy as np
 import pytest
 from command_line import microbot
+from session.recordings import record
 
 from microbot_ros.cli import main
+from microbot_ros.session import read_session
 from microbot_ros.session.mcap.writer import MAGIC
 
 LONG = 'x' * 9000
@@ -116,11 +118,9 @@ SCENARIOS = {
 }
 OPTIONS: dict[str, list[object]] = {
     'pixel size': ['track', 'PICTURES', '--pixel-size-um', '1e308', '--out', 'OUT'],
-    'no pixel size': ['track', 'PICTURES', '--pixel-size-um', 'nan', '--out', 'OUT'],
     'frame rate': ['track', 'PICTURES', '--frame-rate-hz', '1e308', '--out', 'OUT'],
     'pixel size of tables': ['import', 'SESSION', '--pixel-size-um', '1e308', '--out', 'OUT'],
     'full scale of a field': ['import', 'SESSION', '--full-scale-mT', 'nan', '--out', 'OUT'],
-    'angle': ['import', 'SESSION', '--angle-offset-deg', 'inf', '--out', 'OUT'],
     'exposure': ['fit', 'SESSION', '--exposure-ms', '1e308', '--out', 'OUT'],
     'jobs': ['discover', 'SESSION', '--jobs', '0', '--out', 'OUT'],
     'rate': ['replay', 'SESSION', '--rate', '-1'],
@@ -139,6 +139,7 @@ OPTIONS: dict[str, list[object]] = {
     'no workers': ['batch', 'discover', 'SESSION', '--workers', '0', '--out', 'OUT'],
     'two kinds of workers': ['batch', 'fit', 'SESSION', '--workers', '1', '--scheduler', 'x',
                              '--out', 'OUT'],
+    'a file for an archive': ['batch', 'fit', 'SESSION', '--out', 'SESSION/tracks.csv'],
     'demo without end': ['demo', '--seconds', 'inf', '--out', 'OUT'],
     'demo of ages': ['demo', '--seconds', '1e300', '--out', 'OUT'],
     'seed of digits': ['demo', '--seed', '9' * 6000, '--out', 'OUT'],
@@ -301,12 +302,6 @@ def test_no_command_is_left_out():
     assert set(_COMMANDS) <= {words[0] for words in tables}
 
 
-def test_an_empty_configuration_runs_nothing(tmp_path, capsys):
-    empty = tmp_path / 'rig.yaml'
-    empty.write_text('# nothing yet\n')
-    assert 'coil_driver' in refused(capsys, 'run', '--config', empty)
-
-
 def test_no_damage_to_a_recording_is_more_than_a_line(tmp_path, capsys):
     """Bits flipped and bytes lost anywhere: what is told may be wrong, but it is told."""
     whole = (Path(__file__).parents[1] / 'data' / 'steering.mcap').read_bytes()
@@ -326,19 +321,9 @@ def test_no_damage_to_a_recording_is_more_than_a_line(tmp_path, capsys):
 
 @pytest.mark.parametrize('command', ['fit', 'discover'])
 def test_data_that_were_cut_off_are_said_to_be(tmp_path, capsys, command):
-    from microbot_ros.common.records import Session
-    from microbot_ros.session import read_session
-    from microbot_ros.session.mcap.recorder import RecordingWriter
-    from microbot_ros.session.replay.as_messages import SessionMessages
-
     simulated(tmp_path / 'plain')
     capsys.readouterr()
-    known: Session = read_session(tmp_path / 'plain')
-    messages = SessionMessages(known)
-    with RecordingWriter(tmp_path / 'whole') as writer:
-        for message in messages.messages():
-            writer.write(message.topic, message.type, message.t_ns, message.data)
-    (file,) = (tmp_path / 'whole').glob('*.mcap')
+    (file,) = record(tmp_path / 'whole', read_session(tmp_path / 'plain')).glob('*.mcap')
     cut = tmp_path / 'cut.mcap'
     cut.write_bytes(file.read_bytes()[:-40])
     assert microbot(command, cut, '--out', tmp_path / 'out') == 0

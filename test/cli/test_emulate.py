@@ -69,9 +69,3 @@ def test_a_watchdog_that_the_protocol_does_not_have_is_refused(tmp_path, option)
                           capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
     assert 'for serial_transfer only' in done.stderr
-
-
-def test_help_shows_an_example():
-    done = run('--help')
-    assert done.returncode == 0
-    assert 'microbot emulate serial_transfer --link' in done.stdout

@@ -6,7 +6,6 @@ import numpy as np
 from click.testing import CliRunner
 
 from microbot_ros.cli.fit import command
-from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Commands, Conditions, Session
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
@@ -43,13 +42,3 @@ def test_fit_writes_json_and_figure(tmp_path):
         assert particle['one_leg']['v_um_s']['value'] > 0
     assert (tmp_path / 'out' / 'fit.png').read_bytes().startswith(b'\x89PNG')
     assert 'one leg' in result.output
-
-
-def test_bad_input_leaves_nothing_behind(tmp_path):
-    result = CliRunner().invoke(command, [str(tmp_path / 'no'), '--out', str(tmp_path / 'out')])
-    assert isinstance(result.exception, InputError)
-    assert not (tmp_path / 'out').exists()
-
-
-def test_help_shows_an_example():
-    assert 'microbot fit out/plain' in CliRunner().invoke(command, ['--help']).output

@@ -9,7 +9,6 @@ import pytest
 from click.testing import CliRunner
 
 from microbot_ros.cli import microbot
-from microbot_ros.common.errors import InputError
 from microbot_ros.paper import repetition as experiment
 
 
@@ -87,10 +86,3 @@ def test_mean_force_costs_all_but_the_middle_particle(trials):
     assert mean[0] > 2 * own[0]
     assert mean[2] > 2 * own[2]
     assert mean[1] < 1.3 * own[1]
-
-
-def test_bad_output_is_refused_and_nothing_written(tmp_path):
-    (tmp_path / 'taken').write_text('')
-    with pytest.raises(InputError, match='expected a folder'):
-        run('--out', tmp_path / 'taken', '--repetitions', 1)
-    assert [p.name for p in tmp_path.iterdir()] == ['taken']

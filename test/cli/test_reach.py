@@ -66,10 +66,6 @@ def test_one_particle_can_go_anywhere(tmp_path):
     assert picture.exists()
 
 
-def test_help_shows_an_example():
-    assert '--alignment-times-s 0.1,0.3' in run('--help').output
-
-
 @pytest.mark.parametrize('option', ['--seconds', '--field-mt'])
 @pytest.mark.parametrize('value', ['nan', 'inf', '0', '-1'])
 def test_numbers_out_of_range_are_refused(option, value):

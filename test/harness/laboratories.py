@@ -1,9 +1,10 @@
-"""Sessions of a laboratory, made by the first-order model and a little noise."""
+"""Sessions and films of a laboratory, made by the first-order model and a little noise."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
@@ -65,3 +66,16 @@ def rolling_recording(levels=(1.0, 2.0, 5.0), seed=0, *, slip=0.1, delay=0.1, se
     commands = Commands(starts, (1e-3 if frequency else drive[:, None] * 1e-3) * field,
                         drive if frequency else None, tilt)
     return Session(tracks, commands, Conditions('rolling' if frequency else 'catalytic'), 'made')
+
+
+def write_film(path: Path, places: np.ndarray) -> None:
+    """Write dark spots on grey at `places` (T, N, 2) [px]: 160 × 120 pixels, 10 frames/s."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*'FFV1'), 10, (160, 120))
+    y, x = np.mgrid[:120, :160]
+    noise = np.random.default_rng(1)
+    for spots in places:
+        image = 150 + 3 * noise.standard_normal(x.shape)
+        for at in spots:
+            image -= 90 * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / 18)
+        writer.write(cv2.cvtColor(np.clip(image, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR))
+    writer.release()

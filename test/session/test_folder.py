@@ -53,14 +53,6 @@ def test_reads_si_values_from_the_units_of_the_names(tmp_path):
     assert session.name == tmp_path.name
 
 
-def test_a_height_above_the_floor_is_kept(tmp_path):
-    (tmp_path / 'copy').mkdir()
-    session = read_session(folder(tmp_path, yaml='radius_um: 2.5\nheight_um: 2.8\n'))
-    assert session.conditions == Conditions(radius=2.5e-6, height=2.8e-6)
-    write_session(tmp_path / 'copy', session)
-    assert read_session(tmp_path / 'copy').conditions == session.conditions
-
-
 def test_rolling_commands_point_where_they_say_and_make_the_session_rolling(tmp_path):
     rows = 't_s,direction_rad,frequency_hz\n0,0,0\n0.05,1.5707963267948966,7\n'
     session = read_session(folder(tmp_path, commands=rows, yaml='reference_field_mT: 3\n'))

@@ -30,6 +30,7 @@ from microbot_ros.session.mcap.writer import McapWriter
 from microbot_ros.session.replay.as_messages import SessionMessages
 
 HERE = Path(__file__).parent
+CLOUD = 'sensor_msgs/msg/PointCloud2'
 
 
 def same_session(a, b) -> None:
@@ -326,23 +327,14 @@ def test_files_of_a_recording_that_disagree_on_a_type_are_refused(tmp_path):
         open_recording(tmp_path / 'run')
 
 
-def test_a_topic_of_another_type_is_refused_by_name(tmp_path):
+@pytest.mark.parametrize(('topics', 'kind', 'data', 'said'), [
+    (['/particles'], 'std_msgs/msg/String', encode('std_msgs/msg/String', 'x'),
+     'PointCloud2 on /particles, found std_msgs/msg/String'),
+    (['/a/particles', '/b/particles'], CLOUD, b'', '/a/particles, /b/particles'),
+    (['/particles'], CLOUD, b'\x00\x01\x00\x00\xff', f'expected a {CLOUD}')])
+def test_topics_of_another_type_twice_or_damaged_are_refused(tmp_path, topics, kind, data, said):
     with RecordingWriter(tmp_path / 'run') as writer:
-        writer.write('/particles', 'std_msgs/msg/String', 1, encode('std_msgs/msg/String', 'x'))
-    with pytest.raises(InputError, match='PointCloud2 on /particles, found std_msgs/msg/String'):
-        read_session(tmp_path / 'run')
-
-
-def test_the_same_topic_twice_is_refused(tmp_path):
-    with RecordingWriter(tmp_path / 'run') as writer:
-        for i, topic in enumerate(('/a/particles', '/b/particles')):
-            writer.write(topic, 'sensor_msgs/msg/PointCloud2', i, b'')
-    with pytest.raises(InputError, match='/a/particles, /b/particles'):
-        read_session(tmp_path / 'run')
-
-
-def test_bytes_that_do_not_fit_their_type_are_refused(tmp_path):
-    with RecordingWriter(tmp_path / 'run') as writer:
-        writer.write('/particles', 'sensor_msgs/msg/PointCloud2', 1, b'\x00\x01\x00\x00\xff')
-    with pytest.raises(InputError, match='expected a sensor_msgs/msg/PointCloud2'):
+        for i, topic in enumerate(topics):
+            writer.write(topic, kind, i, data)
+    with pytest.raises(InputError, match=said):
         read_session(tmp_path / 'run')

@@ -131,14 +131,6 @@ def test_a_table_of_trackmate_with_its_four_lines_of_header(tmp_path):
     TRUTH.check(session)
 
 
-def test_semicolons_and_decimal_commas(tmp_path):
-    names = ['Time', 'x0_um', 'y0_um', 'x1_um', 'y1_um']
-    path = write_csv(tmp_path / 'a.csv', names, [TRUTH.t, *wide()], mark=';', point=',')
-    session, said = import_session(path, Answers())
-    TRUTH.check(session)
-    assert any('decimal commas' in sentence for sentence in said)
-
-
 def robot_sheet(position: np.ndarray, start: int = 0) -> tuple[list[str], list]:
     x, y = position.T / PIXEL
     frames = np.arange(start, start + len(x)) + 11502

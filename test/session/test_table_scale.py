@@ -13,7 +13,6 @@ from microbot_ros.session import read_session, write_session
 from microbot_ros.session.spreadsheets.assemble import import_session
 from microbot_ros.session.spreadsheets.scale import speed_ratio
 from microbot_ros.session.spreadsheets.sheets import Answers
-from microbot_ros.session.spreadsheets.summary import SummaryError
 
 SHARED = Path(__file__).parents[2].parent / 'shared' / 'data' / 'speed_vs_frequency'
 ROWS = 600
@@ -94,8 +93,9 @@ def test_smoothed_speeds_tell_the_size_to_a_few_percent():
         assert abs(found.value / 0.345 - 1) < max(found.error, 0.03)
 
 
-@pytest.mark.parametrize('speed', [np.full(ROWS, np.nan), np.full(ROWS, np.inf), np.zeros(ROWS),
-                                   np.random.default_rng(2).uniform(0, 50, ROWS)])
+@pytest.mark.parametrize('speed', [
+    np.full(ROWS, np.nan), np.full(ROWS, np.inf), np.zeros(ROWS),
+    np.random.default_rng(2).uniform(0, 50, ROWS), Walk().speed(1.0, 5, 'elapsed')])
 def test_speeds_that_tell_nothing_leave_the_question_open(tmp_path, speed):
     walk = Walk()
     columns = robot(walk, np.where(np.isfinite(speed), speed, 0.0))
@@ -106,13 +106,6 @@ def test_speeds_that_tell_nothing_leave_the_question_open(tmp_path, speed):
         import_session(path, Answers())
     session, _ = import_session(path, Answers(pixel_size=0.5e-6))
     assert session.conditions.pixel_size == 0.5e-6
-
-
-def test_speeds_in_pixels_tell_no_size(tmp_path):
-    walk = Walk()
-    path = write(tmp_path / 'a.xlsx', {'Robot 1': robot(walk, walk.speed(1.0, 5, 'elapsed'))})
-    with pytest.raises(InputError, match='--position-unit'):
-        import_session(path, Answers())
 
 
 def test_a_stated_size_that_the_speeds_contradict_is_refused_by_name(tmp_path):
@@ -234,16 +227,6 @@ def test_neither_field_nor_rotation_is_a_recording_at_rest(tmp_path):
     session, said = import_session(path, Answers())
     assert session.commands.frequency.tolist() == [0]
     assert any('no rotation and no field' in sentence for sentence in said)
-
-
-@pytest.mark.parametrize('names', [
-    ['freq', 'robot 1 avg', 'robot 2 avg'], ['Frequency [Hz]', 'mean speed', 'std'],
-    ['rolling frequency', 'Average velocity', 'sem']])
-def test_tables_of_averages_are_no_recordings(tmp_path, names):
-    columns = [np.arange(1, 21), np.arange(20) * 3.5, np.arange(20) * 3.6]
-    path = write(tmp_path / 'a.xlsx', {'Sheet1': dict(zip(names, columns, strict=True))})
-    with pytest.raises(SummaryError, match=r'a summary of (1 column|2 columns) of averages'):
-        import_session(path, Answers())
 
 
 def test_a_track_that_is_picked_up_again_is_cut(tmp_path):
