@@ -55,14 +55,6 @@ def test_two_at_once_are_both_named(film):
     assert {e.id for e in found.effects if e.status == 'established'} == set(hidden)
 
 
-@pytest.mark.soak  # conformance/test_built_in finds each effect in sessions of first order
-def test_lag_is_told_from_delay_and_brownian_turning(film):
-    found = discover([film(13, {'alignment_lag': {'tau_s': 0.4}})[0]])
-    assert [(e.id, e.status) for e in found.effects] == [('alignment_lag', 'established')]
-    tau = found.effects[0].parameters['tau_s']
-    assert abs(tau.value - 0.4) < 4 * tau.std < 0.1
-
-
 @pytest.mark.parametrize(('effect', 'parameters', 'against'), [
     ('speed_by_heading', {'depth': 0.15}, 'heading'),
     pytest.param('pulsing_speed', {'depth': 0.5, 'frequency_hz': 0.7},
@@ -123,35 +115,15 @@ def test_command_writes_a_model_that_can_be_loaded(film, tmp_path):
     assert len(particles.ids) == 3
 
 
-@pytest.mark.parametrize(('part', 'name', 'change', 'said'), [
-    ('tracks', 'position', lambda x: 1000 * x, 'positions in µm'),
-    ('tracks', 'position', lambda x: 0 * x, 'particles that move'),
-    ('tracks', 't', lambda t: 1000 * t, 'times in s'),
-    ('commands', 'field', lambda b: 0 * b, 'a nonzero field'),
-    ('commands', 't', lambda t: t + 4.0, 'at least 50 frames'),
-    ('commands', 't', lambda t: t + 1000, 'before the tracks end'),
-])
-def test_bad_files_are_told_in_one_line_and_leave_nothing_behind(
-        film, tmp_path, part, name, change, said):
+def test_bad_files_are_told_in_one_line_and_leave_nothing_behind(film, tmp_path):
     session, _ = film(19, duration=5.0)
-    of = getattr(session, part)
-    write_session(tmp_path / 'session', replace(
-        session, **{part: replace(of, **{name: change(getattr(of, name))})}))
-    with pytest.raises(InputError, match=said) as told:
+    tracks = replace(session.tracks, position=1000 * session.tracks.position)
+    write_session(tmp_path / 'session', replace(session, tracks=tracks))
+    with pytest.raises(InputError, match='positions in µm') as told:
         CliRunner().invoke(command, [
             str(tmp_path / 'session'), '--out', str(tmp_path / 'out')], catch_exceptions=False)
     assert 'session' in str(told.value)
     assert '\n' not in str(told.value)
-    assert not (tmp_path / 'out').exists()
-
-
-def test_a_session_given_twice_leaves_nothing_behind(film, tmp_path):
-    session, _ = film(19)
-    write_session(tmp_path / 'session', session)
-    with pytest.raises(InputError, match='different sessions'):
-        CliRunner().invoke(command, [
-            str(tmp_path / 'session'), str(tmp_path / 'session'),
-            '--out', str(tmp_path / 'out')], catch_exceptions=False)
     assert not (tmp_path / 'out').exists()
 
 

@@ -47,15 +47,14 @@ from microbot_ros.discovery.hypotheses import (
     Candidate,
     Slot,
     consider,
+    fit_first_order,
     log_bayes_factor,
 )
 from microbot_ros.discovery.learned.learn import learn_term
 from microbot_ros.discovery.search import compare, fit_candidate, without
 from microbot_ros.discovery.verdict import Judgement, enough, judge, scrutinised
-from microbot_ros.estimation.likelihood.model_fit import fit_sessions
 from microbot_ros.estimation.likelihood.prepared_session import prepare
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.model.model import Model
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm
 from microbot_ros.virtual_rig.world import World
@@ -200,9 +199,7 @@ def _considered(*asked, experiments=2):
 
 def test_the_evidence_is_the_integral_over_the_strength():
     _, played = _asked(3, ('coil_pull',), 40.0)
-    session = prepare(join(played))
-    plain = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
-    found = fit_candidate(plain, 'coil_pull')
+    found = fit_candidate(fit_first_order([prepare(join(played))]), 'coil_pull')
     # By brute force, on a grid of strengths, at the noise of the fit.
     base = without(found.fit, 'coil_pull')
     x = np.linspace(-3.0, 3.0, 4001) * 0.2
@@ -305,8 +302,7 @@ def test_what_is_surely_there_in_a_shape_that_was_not_seen_vouches_for_no_name()
 def fixture_late():
     """A world with a delay, and what was seen of it."""
     rig, played = _asked(0, ('command_delay',), 25.0)
-    session = prepare(join(played))
-    plain = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
+    plain = fit_first_order([prepare(join(played))])
     return rig, [fit_candidate(plain, name).fit for name in ('command_delay', 'alignment_lag')]
 
 
@@ -349,7 +345,7 @@ def test_what_was_seen_for_long_is_worth_less_to_see_again():
     for experiments in (3, 8):
         rig, played = _asked(7, (), experiments=experiments)
         session = prepare(join(played))
-        fit = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
+        fit = fit_first_order([session])
         trial = _Trial.of(fit, [], Search({}, 1.0), session.times[-1] + 1.0, rig.limits)
         shown.append(trial.score(random_steps(np.random.default_rng(1), 20.0, rig.limits)).shown)
     assert 0 < shown[1] < 0.8 * shown[0]
@@ -359,8 +355,7 @@ def test_where_nothing_is_asked_particles_go_where_they_have_not_been():
     rig, _ = hidden_world(1, ('uniform_drift',), 30.0)
     hover = Plan(np.resize([0.0, np.pi], 40), np.full(40, FIELD), np.full(40, 0.5))
     session = prepare(join([rig.play(hover).session for _ in range(4)]))
-    plain = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
-    fit = fit_candidate(plain, 'uniform_drift').fit
+    fit = fit_candidate(fit_first_order([session]), 'uniform_drift').fit
     nothing, begin = Search({}, enough()), session.times[-1] + 1.0
     design = choose_plan(fit, [], nothing, begin, 20.0, rig.limits, np.random.default_rng(0))
     trial, rng = _Trial.of(fit, [], nothing, begin, rig.limits), np.random.default_rng(3)

@@ -8,18 +8,17 @@ import pytest
 
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.evidence import FitEvidence
-from microbot_ros.discovery.hypotheses import _possible, log_bayes_factor
+from microbot_ros.discovery.hypotheses import _possible, fit_first_order, log_bayes_factor
 from microbot_ros.discovery.search import CandidateFit, fit_candidate
 from microbot_ros.discovery.verdict import enough
-from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions
+from microbot_ros.estimation.likelihood.model_fit import ModelFit
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 
 
 def fitted(session):
     """The first-order model on a `session`."""
-    prepared, _ = check_sessions([session])
-    return fit_sessions(Model.baseline(session.conditions, session.commands), prepared)
+    return fit_first_order(check_sessions([session])[0])
 
 
 def test_pixels_are_no_candidate_under_commands_along_one_line(film):

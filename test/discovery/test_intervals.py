@@ -5,17 +5,15 @@ import pytest
 from scipy.stats import chi2
 
 from microbot_ros.discovery.check.input_checks import check_sessions
-from microbot_ros.discovery.hypotheses import consider
+from microbot_ros.discovery.hypotheses import consider, fit_first_order
 from microbot_ros.discovery.intervals import ROOT, Intervals, _follow
 from microbot_ros.discovery.search import fit_candidate
 from microbot_ros.estimation.likelihood.model_fit import fit_sessions, maximise
-from microbot_ros.model.model import Model
 
 
 def fitted(session, name):
     sessions, _ = check_sessions([session])
-    plain = fit_sessions(Model.baseline(session.conditions, session.commands), sessions)
-    return fit_sessions(fit_candidate(plain, name).fit.model, sessions)
+    return fit_sessions(fit_candidate(fit_first_order(sessions), name).fit.model, sessions)
 
 
 @pytest.fixture(scope='module')

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from microbot_ros.common.records import Session
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.discover import discover
+from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.discovery.learned.candidates import accumulated, candidates, steps
 from microbot_ros.discovery.learned.curve import Curve, Kernel, kernels
 from microbot_ros.discovery.learned.grammar import fit as fit_formula
@@ -23,19 +23,15 @@ from microbot_ros.discovery.learned.learn import (
 )
 from microbot_ros.discovery.learned.moments import FOLDS, Moments, _folds, whiten_track
 from microbot_ros.discovery.result import Learned
-from microbot_ros.estimation.likelihood.model_fit import fit_sessions
 from microbot_ros.model.io.model_file import read_model, write_model
 from microbot_ros.model.learned_term import LearnedTerm
-from microbot_ros.model.model import Model
 from microbot_ros.virtual_rig.record_session import Camera
 
 CHANNEL = {'poiseuille_flow': {'speed_um_s': 3.0, 'half_width_um': 120.0}}
 
 
 def baseline(session):
-    prepared, _ = check_sessions([session])
-    first = prepared[0]
-    return fit_sessions(Model.baseline(first.conditions, first.commands), prepared)
+    return fit_first_order(check_sessions([session])[0])
 
 
 @pytest.fixture(name='channel', scope='module')
@@ -86,17 +82,6 @@ def test_what_faces_some_ways_is_slower_and_learned_against_the_heading(film):
 def test_where_nothing_is_missing_nothing_is_learned(film, seed):
     session, _ = film(20 + seed)
     assert learn_term(baseline(session)) is None
-
-
-def test_the_order_of_rows_does_not_matter(film, first):
-    session, _ = film(3, CHANNEL, count=4, duration=40.0)
-    t = session.tracks
-    order = np.random.default_rng(1).permutation(len(t.t))
-    mixed = replace(t, t=t.t[order], particle=t.particle[order], position=t.position[order],
-                    **{k: getattr(t, k)[order] for k in ('heading', 'sigma')
-                       if hasattr(t, k)})
-    other = learn_term(baseline(Session(mixed, session.commands, session.conditions)))
-    np.testing.assert_allclose(other.curve.mean, first.curve.mean, atol=1e-12)
 
 
 # Curve ------------------------------------------------------------------------------------------
@@ -198,8 +183,7 @@ def test_nothing_inside_a_hidden_block_moves_what_is_learned(film, findings):
     changed = replace(whole, z=whole.z + np.where(kept, 0, 5e-6)[:, None])
     terms = []
     for one in (whole, changed):
-        fit = fit_sessions(Model.baseline(one.conditions, one.commands), [one.only(kept)])
-        terms.append(relearn(findings, fit).model.learned)
+        terms.append(relearn(findings, fit_first_order([one.only(kept)])).model.learned)
     assert terms[0]
     assert terms[0] == terms[1]
 

@@ -39,11 +39,6 @@ def increments_of(count):
     return np.diff(np.eye(count), axis=0)
 
 
-def matrix_of(whiten, count):
-    """The linear map that a filter is, from its answers to unit levels on the real axis."""
-    return whiten(np.eye(count, dtype=complex)[:, None, :])[:, 0, :].real
-
-
 def test_likelihood_is_that_of_the_dense_gaussian(film):
     """Against generalised least squares with the whole covariance matrix; gaps included."""
     session, _ = film(0, count=2, duration=4.0)
@@ -74,19 +69,6 @@ def test_likelihood_is_that_of_the_dense_gaussian(film):
         assert p.degrees_of_freedom == free
         values.append((p.log_likelihood, -free / 2 * np.log(squares / free) - log_det))
     assert np.diff(values, axis=0)[0, 0] == pytest.approx(np.diff(values, axis=0)[0, 1], rel=1e-6)
-
-
-def test_exposure_may_make_the_noise_ratio_negative():
-    """A full-frame exposure without reading error: increments are positively correlated."""
-    times = np.arange(12) / 30.0
-    noise_ratio = -1 / 30 / 3
-
-    def whiten(columns):
-        return whiten_columns(times, np.ones((12, 1), int), columns, noise_ratio)[0]
-
-    white = matrix_of(whiten, 12)
-    covariance = white @ brownian(times, noise_ratio) @ white.T
-    assert covariance[1:, 1:] == pytest.approx(np.eye(11), abs=1e-9)
 
 
 def test_the_filter_without_heading_noise_is_the_plain_one():
@@ -278,30 +260,6 @@ def test_belief_is_the_kalman_filter_of_a_random_walk():
     # Variance 1 before, 1 + 2·½ ahead, gain 2/3.
     assert belief[:, 0] == pytest.approx([1.0, 1 + 2 / 3, 1 + 2 / 3])
     assert np.isnan(filter_positions(times, pieces[::-1].copy(), z, 1.0)[0, 0])
-
-
-@pytest.mark.parametrize(('name', 'parameters'), [
-    ('uniform_drift', {'wx_um_s': 0.5, 'wy_um_s': -0.3}),
-    ('alignment_lag', {'tau_s': 0.3}),
-    ('coil_gain_mismatch', {'gain_ratio': 1.2}),
-    ('pixel_anisotropy', {'aspect': 1.2}),
-])
-def test_parameters_come_back_within_their_spread(film, name, parameters):
-    session, truth = film(2, {name: parameters})
-    prepared = prepare(session)
-    start = EFFECTS[name](**{
-        p.field: p.from_fit(0.5) for p in EFFECTS[name].parameters()})
-    model = Model.baseline(session.conditions, session.commands).with_effect(start)
-    fit = fit_with_noise(evaluate(model, [prepared.after_first_field(1.5)], [Whitening(0.05)]))
-    spread = np.sqrt(np.diag(fit.covariance))
-    for k, (_, parameter) in enumerate(fit.model.parameters):
-        off = fit.model.vector()[k] - parameter.to_fit(
-            parameters[parameter.name] / parameter.display_units(1.0))
-        assert abs(off) < 4 * spread[k]
-        assert spread[k] < 0.5
-    speed = np.abs(fit.session_fits[0].velocity_phasor)
-    if len(speed) == len(truth):
-        assert speed == pytest.approx(truth['speed'], rel=0.05)
 
 
 def test_fit_stays_within_bounds_and_never_gets_worse(film):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filmed import CONDITIONS, FIELD, swimmers
 from oracles import sliding_near_a_wall
 
 from microbot_ros.common.errors import InputError
@@ -18,26 +19,13 @@ from microbot_ros.estimation.likelihood.noise import Noise, whiten
 from microbot_ros.estimation.one_leg_regression import one_leg
 from microbot_ros.model.physics.particle import Fluid, translational_diffusion
 from microbot_ros.session import read_session
-from microbot_ros.virtual_rig.commands import steps
-from microbot_ros.virtual_rig.injected_effects import inject_effect
-from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
-from microbot_ros.virtual_rig.world import World
+from microbot_ros.virtual_rig.record_session import Camera
 
-FIELD = 5e-3
-FLUID = Fluid(1.245e-3)
-CONDITIONS = Conditions(radius=4.6e-6, viscosity=1.245e-3, reference_field=FIELD)
 ROLLING = Path(__file__).parents[2].parent / 'shared' / 'data' / 'rolling_robot'
 
 
 def experiment(seed, hidden=None, seconds=30.0):
-    rng = np.random.default_rng(seed)
-    swarm = draw_swarm(rng, 3, FLUID, FIELD, half_extent=300e-6, spacing=100e-6)
-    gain = swarm['speed'] * np.exp(1j * swarm['phi'])
-    if hidden:
-        inject_effect(swarm, *hidden, reference_field=FIELD)
-    session, _ = record_session(World(swarm, rng), steps(rng, seconds, FIELD, (2.0, 6.0)),
-                         Camera(20.0, 0.0, 0.1e-6, 0.05), seconds, rng, CONDITIONS)
-    return session, gain
+    return swimmers(seed, seconds, Camera(20.0, 0.0, 0.1e-6, 0.05), hidden=hidden)
 
 
 def test_everything_comes_out_within_its_spread():
@@ -48,28 +36,24 @@ def test_everything_comes_out_within_its_spread():
         off += list((result.polar.speed - np.abs(gain)) / result.polar.speed_std)
         off += list(np.angle(np.exp(1j * result.polar.phi) / gain) / result.polar.phi_std)
         assert result.noise.diffusion == pytest.approx(
-            translational_diffusion(FLUID, 4.6e-6), abs=4 * result.noise.diffusion_std)
+            translational_diffusion(Fluid(1.245e-3), 4.6e-6), abs=4 * result.noise.diffusion_std)
         assert result.noise.localisation == pytest.approx(0.1e-6, rel=0.1)
         assert not [text for text in result.warnings if 'Stokes' in text or 'too large' in text]
     # 36 deviates: their root mean square strays by 0.12.
     assert 0.65 < np.sqrt(np.mean(np.square(off))) < 1.4
 
 
-def near_a_floor(seed, height, told):
+def near_a_floor(height, told):
     """A session above a floor, whose `session.yaml` tells a height (or None), and its speeds."""
-    rng = np.random.default_rng(seed)
-    swarm = draw_swarm(rng, 3, Fluid(1.245e-3, height=height), FIELD, half_extent=300e-6,
-                       spacing=100e-6)
-    session, _ = record_session(World(swarm, rng), steps(rng, 60.0, FIELD, (2.0, 6.0)),
-                                Camera(20.0, 0.0, 0.05e-6, 0.0), 60.0, rng,
-                                replace(CONDITIONS, height=told))
-    return session, swarm['speed']
+    session, gain = swimmers(5, 60.0, Camera(20.0, 0.0, 0.05e-6, 0.0), height=height,
+                             known=replace(CONDITIONS, height=told))
+    return session, np.abs(gain)
 
 
 @pytest.mark.parametrize('height', [4.7e-6, 5.2e-6, 9e-6])
 def test_a_floor_is_named_where_nobody_stated_it(height):
     exact = sliding_near_a_wall(height, 4.6e-6)
-    session, speed = near_a_floor(5, height, None)
+    session, speed = near_a_floor(height, None)
     found = fit(session)
     said, = (text for text in found.warnings if 'Stokes' in text)
     assert 'far from walls: the particles probably move near a floor' in said
@@ -83,7 +67,7 @@ def test_a_floor_is_named_where_nobody_stated_it(height):
 @pytest.mark.parametrize('height', [4.7e-6, 5.2e-6, 9e-6])
 def test_where_the_floor_is_stated_force_and_diffusion_are_those_above_it(height):
     exact = sliding_near_a_wall(height, 4.6e-6)
-    session, speed = near_a_floor(5, height, height)
+    session, speed = near_a_floor(height, height)
     found = fit(session)
     assert not [text for text in found.warnings if 'Stokes' in text]
     assert found.force == pytest.approx(6 * np.pi * 1.245e-3 * 4.6e-6 * speed * exact, rel=0.08)
@@ -166,8 +150,7 @@ def test_what_commands_leave_open_is_known_before_any_fit(degrees, open_pairs, t
     assert set(excited.pairs) == open_pairs
     assert excited.driven == (len(degrees) > 0)
     assert told in ' '.join(excited.sentences)
-    assert command_excitation(Session(Tracks(*(each[:1] for each in (
-        t, tracks.particle, tracks.position, tracks.theta, tracks.sigma))), commands)) is None
+    assert command_excitation(Session(tracks.rows(slice(1)), commands)) is None
 
 
 def test_too_little_is_an_input_error():

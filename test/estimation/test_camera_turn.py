@@ -4,30 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from filmed import FIELD, swimmers
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.records import Commands, Conditions
+from microbot_ros.common.records import Commands
 from microbot_ros.estimation.camera_turn import _common, _mean, camera_turn
-from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.tracking import ImageToWorkspace
-from microbot_ros.virtual_rig.commands import steps
-from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
-from microbot_ros.virtual_rig.world import World
+from microbot_ros.virtual_rig.record_session import Camera
 
-FIELD = 5e-3
 PIXELS = {'pixel_size': 0.5e-6, 'width': 640, 'height': 480}
 
 
 def swim(seed, phi, commands=None):
     """A session of one swimmer for each φ, under commands that turn."""
-    rng = np.random.default_rng(seed)
-    swarm = draw_swarm(rng, len(phi), Fluid(1.245e-3), FIELD, half_extent=300e-6, spacing=60e-6)
-    swarm['phi'] = phi
-    session, _ = record_session(
-        World(swarm, rng), commands or steps(rng, 20.0, FIELD, (1.0, 3.0)),
-        Camera(20.0, 0.0, 0.1e-6, 0.05), 20.0, rng,
-        Conditions(radius=4.6e-6, viscosity=1.245e-3, reference_field=FIELD))
-    return session
+    return swimmers(seed, 20.0, Camera(20.0, 0.0, 0.1e-6, 0.05), phi=phi, spacing=60e-6,
+                    dwell=(1.0, 3.0), commands=commands)[0]
 
 
 def seen_through(session, camera, believed):

@@ -174,17 +174,3 @@ def test_one_kind_leaves_the_other_colour_out_and_a_counter_example_may_vanish(
     assert 'at 280,60 nothing like it is left, by colour' in capsys.readouterr().err
     rows = _of(tmp_path / 'out')
     assert _count(rows, 'robot', 0) == len(rows) == 4 * _FRAMES
-
-
-def test_what_was_learned_by_colour_is_no_use_on_a_grey_film(
-    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert microbot('track', film, '--out', tmp_path / 'out', '--like', '0,40,40') == 0
-    grey = tmp_path / 'grey'
-    grey.mkdir()
-    cv2.imwrite(str(grey / '0.png'), cv2.cvtColor(_both(), cv2.COLOR_BGR2GRAY))
-    capsys.readouterr()
-    assert microbot('track', grey, '--out', tmp_path / 'none', '--settings',
-                    tmp_path / 'out' / 'learned.yaml') == 2
-    assert 'expected colour images' in capsys.readouterr().err
-    assert not (tmp_path / 'none').exists()

@@ -172,25 +172,6 @@ def test_a_kind_that_is_forgotten_takes_its_particles_along_and_no_identity_come
     assert not set(again.id.tolist()) & set(before.id.tolist())
 
 
-@pytest.mark.parametrize('radius', [4.0, 7.3, 13.0])
-def test_the_place_of_a_taught_disc_is_as_exact_as_its_noise_allows(radius: float) -> None:
-    # Fisher's information of a disc whose look is known, by differences of the drawn picture.
-    noise, rng, off, told = 1.5, np.random.default_rng(4), [], []
-    v, u = np.mgrid[:200, :300]
-    drawn = [-70 / (1 + np.exp(1.6 * (np.hypot(u - x, v - 50) - radius))) for x in (59.99, 60.01)]
-    bound = math.hypot(noise, 12**-0.5) / math.sqrt(np.sum(((drawn[1] - drawn[0]) / 0.02) ** 2))
-    settings, _ = teacher.like(TrackerSettings(), _picture((_SMALL, radius, -70.0)), *_SMALL)
-    for seed in range(60):
-        place = rng.uniform(50, 70, 2)
-        found = KindsDetector(settings.kinds).detect(
-            _picture((tuple(place), radius, -70.0), seed=seed), _NOWHERE)
-        off.append(found.xy[0] - place)
-        told.append(found.sigma[0])
-    error = float(np.sqrt(np.mean(np.square(off))))
-    assert error < 1.2 * bound
-    assert float(np.median(told)) == pytest.approx(bound, rel=0.2)
-
-
 def test_what_the_edge_cuts_is_followed_only_where_it_is_known() -> None:
     settings, _ = teacher.like(TrackerSettings(), _picture(*_SCENE), *_LARGE)
     detector, edge = KindsDetector(settings.kinds), (2.0, 100.0)
