@@ -41,9 +41,10 @@ demo: $(VENV)/.runtime
 test: compiled
 	@$(MAKE) --no-print-directory --jobs 2 lint logic
 
+# The time-out is for tests that hang: on a busy machine the longest, 15 s, took over 120 s.
 logic: $(VENV)/.development
 	@$(BIN)/python -m pytest -m 'not rig and not soak' --numprocesses $(WORKERS) --dist loadfile \
-		$(if $(COVERAGE),$(MEASURED))
+		--timeout 600 $(if $(COVERAGE),$(MEASURED))
 
 # Real processes, signals, browser, firmware and milliseconds: alone on the machine. A failed test
 # is run again up to three times; the ledger is in out/retries.json.

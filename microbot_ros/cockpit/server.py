@@ -90,6 +90,8 @@ class Server:
         Port to listen at; 0 for any that is free.
     open_to_all : bool
         Whether there is no token, see `Gatekeeper`.
+    clock : callable, optional
+        Time [s] by which it notices that it stood still, or that a stick was silent.
 
     Raises
     ------
@@ -98,7 +100,9 @@ class Server:
     """
 
     def __init__(self, rig: Rig, discovery: Discovery, recordings: Recordings, host: str,
-                 port: int, *, open_to_all: bool = False) -> None:
+                 port: int, *, open_to_all: bool = False,
+                 clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
         self._rig, self._discovery, self._recordings = rig, discovery, recordings
         self._socket = _listen(host, port)
         self._host, self._port = host, int(self._socket.getsockname()[1])
@@ -197,7 +201,7 @@ class Server:
     @asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
         self._loop = asyncio.get_running_loop()
-        self._ticked_s = time.monotonic()
+        self._ticked_s = self._clock()
         self._rig.watch(self._on_picture, self._on_particles)
         background = [asyncio.create_task(_for_ever(work)) for work in (
             self._tell_state, self._rig.keep_up)]
@@ -232,7 +236,7 @@ class Server:
         """Send the state to every page, each part serialised once for all."""
         while True:
             await asyncio.sleep(_STATE_S)
-            self._tick(time.monotonic())
+            self._tick(self._clock())
             state = self._rig.state()
             state |= {'attended': self._control.attended,
                       'discovery': self._discovery.state(state.pop('verdict', {}))}
@@ -342,7 +346,7 @@ class Server:
 
     def _obey(self, page: Page, verb: verbs.AnyVerb) -> None:
         """Perform a verb, in a task if it takes time, so that no STOP waits behind it."""
-        now_s, controls = time.monotonic(), self._control.holder == page.number
+        now_s, controls = self._clock(), self._control.holder == page.number
         match verb:
             case verbs.Seen():
                 page.seen(int(verb.stamp))

@@ -177,8 +177,8 @@ def judge(known: Hypotheses, run: Run = serially) -> Judgement:
     pending += [one.id for one in known.more if one.evidence > likelier_than_not()]
     maps = residual_maps(known.fit, run)
     left, beside = _left(known, named, maps, run)
-    return Judgement(named, open_, tuple(pending), left, beside, False, early, small,
-                     contradicted, maps)
+    return Judgement(named, open_, tuple(pending), left, beside, early=early, of_instrument=small,
+                     contradicted=contradicted, maps=maps)
 
 
 def _likely(known: Hypotheses) -> list[Slot]:

@@ -137,12 +137,19 @@ class Page:
 
 
 class Served:
-    """A server of a `RememberingRig`, `host` and its free port; `open_to_all`, without a token."""
+    """A server of a `RememberingRig`, `host` and its free port; `open_to_all`, without a token.
 
-    def __init__(self, folder: Path, host: str = '127.0.0.1', open_to_all: bool = True) -> None:
+    By its clock no time passes but `now_s` [s], unless another `clock` is given: what a busy
+    machine holds up for long is not asked too late.
+    """
+
+    def __init__(self, folder: Path, host: str = '127.0.0.1', open_to_all: bool = True,
+                 clock: Callable[[], float] | None = None) -> None:
+        self.now_s = 0.0
         self.rig = RememberingRig()
         self.server = Server(
-            self.rig, Discovery('/', folder), Recordings(folder), host, 0, open_to_all=open_to_all)
+            self.rig, Discovery('/', folder), Recordings(folder), host, 0, open_to_all=open_to_all,
+            clock=clock or (lambda: self.now_s))
         self.server.start()
         assert self.rig.watched.wait(10.0)
 

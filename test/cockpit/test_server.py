@@ -88,11 +88,11 @@ def test_a_stick_is_told_once_for_each_message_and_never_again(served: Any) -> N
         assert served.rig.asked('stick') == [(0.5, -1.0), (1.0, 0.0)]
 
 
-@pytest.mark.rig
 def test_a_stick_that_was_silent_must_come_back_to_neutral(served: Any) -> None:
     with served.page() as page:
         page.say('stick', x=0.5, y=0.0)
-        page.drain(0.6)
+        page.ask('stop')
+        served.now_s += 0.6
         page.say('stick', x=0.6, y=0.0)
         page.say('stick', x=0.0, y=0.0)
         page.say('stick', x=0.7, y=0.0)
@@ -101,7 +101,8 @@ def test_a_stick_that_was_silent_must_come_back_to_neutral(served: Any) -> None:
 
 
 @pytest.mark.rig
-def test_what_waited_while_the_server_stood_still_is_not_done_but_stop(served: Any) -> None:
+def test_what_waited_while_the_server_stood_still_is_not_done_but_stop(serve: Any) -> None:
+    served = serve(clock=time.monotonic)
     with served.page() as page:
         page.ask('clear_goals')
         served.server._loop.call_soon_threadsafe(time.sleep, 1.2)

@@ -7,7 +7,7 @@ import pytest
 
 from microbot_ros.common.records import Conditions
 from microbot_ros.estimation import held as held_module
-from microbot_ros.estimation.held import SAMPLE, HeldWatch
+from microbot_ros.estimation.held import LOOK, HeldWatch
 from microbot_ros.estimation.online.estimator import Estimator
 from microbot_ros.estimation.swimming import Swimming
 
@@ -192,10 +192,10 @@ def test_a_wall_takes_the_part_of_the_motion_into_it(flow):
         assert not known.is_blocked(other * SPEED * ways[:30] + flow, ways[:30], 0.0)
 
 
-def test_a_particle_is_looked_at_once_for_every_sample():
-    """A look takes as long as a filter step, and finds nothing new before the next sample."""
+def test_a_particle_is_looked_at_three_times_a_second():
+    """A look takes as long as a filter step, and a wall is found after seconds."""
     watch, ids = HeldWatch(), np.array([3, 7])
     with mock.patch.object(held_module, 'is_held', return_value=False) as look:
-        for frame in range(100):
+        for frame in range(119):
             watch.add(frame / 100, ids, np.zeros(2, complex), np.ones(2, bool), {})
-    assert look.call_count == len(ids) * round(1.0 / SAMPLE)
+    assert look.call_count == len(ids) * round(1.2 / LOOK)
