@@ -89,14 +89,14 @@ def test_a_known_heading_is_followed_from_the_start():
 
 
 def test_each_particle_turns_from_its_own_heading():
-    model = Model(B, effects=(AlignmentLag(0.3),))
+    model = Model(B, effects=(AlignmentLag(0.3), UniformDrift(1e-6, 2e-6)))
     commands, heading = steer((-5.0, 0.3), (1.0, 2.0)), np.array([0.4, 1.5, -1.9])
     times = np.linspace(0.0, 3.0, 4)
     simulated = simulate(model, PAPER, commands, times, ORIGIN, heading)
 
     def right_side(_, state, angle):
         theta = state[6:]
-        go = PAPER.speed * 1e6 * np.array([np.cos(theta), np.sin(theta)])
+        go = PAPER.speed * 1e6 * np.array([np.cos(theta), np.sin(theta)]) + [[1.0], [2.0]]
         return np.concatenate([*go, np.sin(angle + PAPER.phi - theta) / 0.3])
 
     state = np.concatenate([np.zeros(6), heading])
