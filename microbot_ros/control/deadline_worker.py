@@ -7,6 +7,7 @@ import queue
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Generic, TypeVar
@@ -78,6 +79,8 @@ class DeadlineWorker:
         self._patience = patience
         self._calls: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
+        self._end: Callable[[], object] | None = None
+        """Lets the thread end after its call; called when the worker is forgotten too."""
         self._waited_for: Call | None = None
         self._newest: Call | None = None
 
@@ -124,6 +127,7 @@ class DeadlineWorker:
         """
         if self._thread is None:
             self._calls = queue.SimpleQueue()
+            self._end = weakref.finalize(self, self._calls.put, None)
             self._thread = threading.Thread(target=_serve, args=(self._calls,), daemon=True)
             self._thread.start()
         self._newest = call = Call(function)
@@ -153,7 +157,8 @@ class DeadlineWorker:
         if busy and self._thread is not None and self._thread.ident is not None:
             identity = ctypes.c_ulong(self._thread.ident)
             ctypes.pythonapi.PyThreadState_SetAsyncExc(identity, ctypes.py_object(SystemExit))
-        self._calls.put(None)
+        if self._end is not None:
+            self._end()
         self._thread = self._waited_for = self._newest = None
 
     def _check_last(self) -> None:

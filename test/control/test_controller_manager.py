@@ -1,5 +1,6 @@
 """Nothing unsafe leaves the controller manager, whatever a controller does."""
 
+import gc
 import threading
 import time
 from contextlib import suppress
@@ -244,6 +245,17 @@ def test_a_thread_that_can_not_be_ended_does_not_hold_up_the_others():
     assert {outcome.result for outcome in run(manager, 20)} == {Result.OK}
     assert thread.is_alive()
     over.set()
+    thread.join(30)
+    assert not thread.is_alive()
+
+
+def test_the_threads_of_a_manager_that_nobody_closes_end_with_it():
+    manager = ControllerManager({'east': East()}, 'east', deadline=AMPLE, patience=60)
+    assert run(manager, 1)[0].result is Result.OK
+    thread = manager._threads['east']._worker._thread
+    assert thread.is_alive()
+    del manager
+    gc.collect()
     thread.join(30)
     assert not thread.is_alive()
 
