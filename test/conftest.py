@@ -66,8 +66,7 @@ _OF_EXTRAS = {'gym/test_steering.py': 'gymnasium', 'gym/test_training_docs.py': 
               'control/test_policy.py': 'onnx', 'archive/test_batch.py': 'polars',
               'archive/test_cluster.py': 'distributed', 'archive/test_imports.py': 'distributed',
               'control/test_effects.py': 'osqp', 'control/test_predictive.py': 'osqp',
-              'drive/test_armed_amplifiers.py': 'pymodbus', 'drive/test_channels.py': 'pymodbus',
-              'drive/test_modbus.py': 'pymodbus'}
+              'drive/test_channels.py': 'pymodbus', 'drive/test_modbus.py': 'pymodbus'}
 collect_ignore = [] if COMPLETE else [
     file for file, module in _OF_EXTRAS.items() if find_spec(module) is None]
 

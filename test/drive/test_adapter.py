@@ -1,11 +1,10 @@
 """A driver is bound to the USB adapters of its first connection."""
 
-import os
 from types import SimpleNamespace
 
 import pytest
 
-from bench._emulator import FULL_SCALE_A, MEASURED, Served
+from bench._emulator import FULL_SCALE_A, MEASURED
 from bench._virtual import VirtualAmplifier
 from microbot_ros.drive import adapter as adapters
 from microbot_ros.drive.adapter import BY_ID, Adapter, adapter_at
@@ -166,24 +165,3 @@ def test_an_adapter_that_is_pulled_out_while_it_is_looked_for_is_none(monkeypatc
 
     monkeypatch.setattr(adapters, 'comports', comports)
     assert adapter_at('/dev/ttyUSB3') is None
-
-
-@pytest.mark.rig
-@pytest.mark.parametrize('protocol', ['modbus', 'sabertooth'])
-def test_another_adapter_at_a_terminal_hears_nothing(protocol, tmp_path):
-    served = Served(tmp_path, protocol, watchdog_s=None)
-    try:
-        amplifier = amplifier_class(protocol)(served.url, FULL_SCALE_A)
-        amplifier.adapter_at = lambda _: OWN
-        amplifier.connect()
-        amplifier.close()
-        heard = []
-        served.device.receive = lambda _, data, __: heard.append(data) or b''
-        amplifier.adapter_at = lambda _: OTHER
-        assert os.path.exists(served.url)
-        with pytest.raises(WrongDeviceError, match='serial number A6008isP; received USB 1a86'):
-            amplifier.connect()
-        served.coils.command(ZERO)
-        assert heard == []
-    finally:
-        served.end()

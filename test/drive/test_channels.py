@@ -5,17 +5,13 @@ from dataclasses import replace
 
 import pytest
 
+from bench._emulator import FULL_SCALE_A, LIMITS
 from bench._virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.emulator.process import DEVICES
-from microbot_ros.drive.gate import Gate, Limits, Reason
+from microbot_ros.drive.gate import Gate, Reason
 
-FULL_SCALE_A = 2.0
-LIMITS = Limits(
-    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, command_timeout_s=8.0,
-    deviation_A=0.15, settling_s=0.1, feedback_timeout_s=8.0, rated_current_A=3.0, thermal_s=60.0,
-    idle_s=60.0)
 CHANNELS = [(protocol, channels) for protocol in sorted(DEVICES)
             if amplifier_class(protocol).reads_back for channels in (2, 3, 6, 16)
             if not (protocol == 'serial_transfer' and channels > 6)]

@@ -1,5 +1,6 @@
 """What of the driver of the coils is true of its real thread alone, at a port in this process."""
 
+import os
 import threading
 import time
 
@@ -22,10 +23,26 @@ def drive(driver, device):
     device.eventually(DRIVING)
 
 
-def test_a_zero_is_waited_for_until_a_reading_shows_it(driver, device):
+def test_the_thread_goes_first_where_the_system_grants_it(driver, device, real_time):
     drive(driver, device)
-    assert driver.await_zero(driver.request_zero(), 5.0) is Zero.CONFIRMED
-    assert device.flows(ZERO)
+    thread = next(t for t in threading.enumerate() if t.name == 'coil driver')
+    policy = os.sched_getscheduler(thread.native_id)
+    assert driver.real_time == real_time == (policy == os.SCHED_FIFO)
+
+
+def test_the_thread_alone_writes(driver, device, monkeypatch):
+    writers = set()
+    write = driver.amplifier.write
+
+    def watched(currents, *more):
+        writers.add(threading.current_thread().name)
+        return write(currents, *more)
+
+    monkeypatch.setattr(driver.amplifier, 'write', watched)
+    drive(driver, device)
+    driver.disarm()
+    device.eventually(ZERO)
+    assert writers == {'coil driver'}
 
 
 def test_disarming_waits_until_it_was_done(driver, device, monkeypatch):

@@ -36,6 +36,12 @@ class LateRig(VirtualDriver):
         self._poll, self._write = amplifier.poll, amplifier.write
         amplifier.poll, amplifier.write = self._late_poll, self._late_write
 
+    def begin_driving(self):
+        """Connect, and let the first currents flow."""
+        self.connect()
+        self.turn(0.05)
+        self.drive(CURRENTS[0])
+
     def begin(self):
         """Count the calls from now on."""
         self._counts = True
@@ -61,9 +67,7 @@ class LateRig(VirtualDriver):
 
 def drive_late(rig, seconds=0.6):
     """Command currents that change every 20 ms, as a controller on time does."""
-    rig.connect()
-    rig.turn(0.05)
-    rig.drive(CURRENTS[0])
+    rig.begin_driving()
     rig.begin()
     end_s, count = rig.clock.now_s + seconds, 0
     while rig.clock.now_s < end_s and rig.gate.fault is None:
@@ -101,9 +105,7 @@ def drive_until_it_trips(rig):
 @pytest.mark.parametrize('wire', ['open=1', 'reversed=3', 'half_gain=2'])
 def test_a_coil_that_deviates_trips_at_the_next_report(wire):
     rig = LateRig('serial_transfer', [], self_check=False)
-    rig.connect()
-    rig.turn(0.05)
-    rig.drive(CURRENTS[0])
+    rig.begin_driving()
     for _ in range(40):  # more than 0.3 s, for which what flowed before may show
         rig.driver.command(CURRENTS[0])
         rig.turn(0.01)
@@ -118,9 +120,7 @@ def test_a_coil_that_deviates_trips_at_the_next_report(wire):
 def test_a_coil_that_fails_while_the_thread_sleeps_is_found_once_it_had_time_to_settle(wire):
     rig = LateRig('serial_transfer', [], self_check=False,
                   limits=replace(LIMITS, command_timeout_s=0.5))
-    rig.connect()
-    rig.turn(0.05)
-    rig.drive(CURRENTS[0])
+    rig.begin_driving()
     rig.clock.sleep(0.35)
     rig.device.fault(wire)
     woke_s = rig.clock.now_s
@@ -140,10 +140,15 @@ def test_the_self_check_blames_no_coil_for_a_thread_that_sleeps(planned):
     assert answer is None or answer.split(':')[0] in {reason.value for reason in LATE}, answer
 
 
-def test_a_reading_of_coils_on_their_way_counts_from_when_it_was_taken():
-    gate = Gate(LIMITS)
+def armed(**limits):
+    gate = Gate(replace(LIMITS, **limits))
     gate.measured(ZERO, 0.0)
     assert gate.arm(0.0) is None
+    return gate
+
+
+def test_a_reading_of_coils_on_their_way_counts_from_when_it_was_taken():
+    gate = armed()
     gate.command(CURRENTS[0], 1e-3)
     gate.sent(2e-3)
     halfway = [current / 2 for current in CURRENTS[0]]
@@ -154,9 +159,7 @@ def test_a_reading_of_coils_on_their_way_counts_from_when_it_was_taken():
 
 
 def test_an_output_that_was_written_late_was_followed_until_then():
-    gate = Gate(LIMITS)
-    gate.measured(ZERO, 0.0)
-    assert gate.arm(0.0) is None
+    gate = armed()
     gate.command(CURRENTS[0], 0.01)
     gate.sent(0.01)
     gate.revoke()
@@ -169,9 +172,7 @@ def test_an_output_that_was_written_late_was_followed_until_then():
 
 
 def test_a_first_output_that_was_written_late_left_the_coils_at_zero_until_then():
-    gate = Gate(LIMITS)
-    gate.measured(ZERO, 0.0)
-    assert gate.arm(0.0) is None
+    gate = armed()
     gate.command(CURRENTS[0], 0.01)
     gate.sent(0.4)
     gate.measured(ZERO, 0.41)
@@ -181,9 +182,7 @@ def test_a_first_output_that_was_written_late_left_the_coils_at_zero_until_then(
 
 
 def test_an_output_that_was_written_late_prolongs_none_that_was_replaced_before():
-    gate = Gate(replace(LIMITS, command_timeout_s=1.0))
-    gate.measured(ZERO, 0.0)
-    assert gate.arm(0.0) is None
+    gate = armed(command_timeout_s=1.0)
     gate.command(CURRENTS[0], 0.01)
     gate.sent(0.01)
     gate.measured(CURRENTS[0], 0.17)

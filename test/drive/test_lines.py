@@ -335,7 +335,7 @@ def test_whatever_a_line_fails_with_all_ports_are_given_back(protocol):
     assert not amplifier._lines
 
 
-@pytest.mark.parametrize('protocol', ['serial_transfer', 'sabertooth'])
+@pytest.mark.parametrize('protocol', ['serial_transfer', 'sabertooth', 'roboclaw', 'modbus'])
 def test_the_only_line(protocol):
     rig = Rig(protocol, 1, 'unplug')
     amplifier = rig.amplifier()
@@ -346,12 +346,14 @@ def test_the_only_line(protocol):
     assert poll_until_lost_or_written(amplifier) == rig.url
     assert amplifier.close() is Zero.UNREACHABLE
     assert amplifier.unreachable == (rig.url,)
+    with pytest.raises(NoAnswerError):
+        amplifier.write(ZERO)
     rig.mend()
     rig.coils.command(DRIVING)
     before, began_s = len(rig.lines[0].sent), rig.clock.now_s
     amplifier.connect()
     at_s, first = rig.lines[0].sent[before]
-    assert at_s == began_s
+    assert at_s - began_s == pytest.approx(getattr(amplifier, 'gap_s', 0.0), abs=1e-9)
     assert amplifier._zeros()[0] in first
     assert rig.flows(ZERO)
 
@@ -373,9 +375,11 @@ def test_a_silent_board_is_zeroed_though_it_cannot_be_identified():
     assert rig.flows(ZERO)
 
 
-def test_another_board_is_sent_nothing():
-    rig = Rig('serial_transfer', 1, 'wrong_reply')
+@pytest.mark.parametrize('protocol', ['serial_transfer'])
+def test_another_board_is_sent_nothing(protocol):
+    rig = Rig(protocol, 1, 'wrong_reply')
     rig.fail()
-    with pytest.raises(WrongDeviceError):
+    with pytest.raises(WrongDeviceError, match='six measured currents'):
         rig.amplifier().connect()
     assert rig.lines[0].sent == []
+    assert rig.lines[0].host is None

@@ -26,20 +26,3 @@ def test_a_cell_holds_only_in_time_and_with_true_answers():
     assert not _matrix.Cell([0.0, 0.201]).ok
     assert not _matrix.Cell([math.nan]).ok
     assert not _matrix.Cell([0.0], wrong=['confirmed']).ok
-
-
-@pytest.mark.parametrize('phase', _matrix.PHASES)
-@pytest.mark.parametrize('fault', ['line lost', 'silent', 'slow, 40 ms'])
-def test_no_fault_of_a_supplys_line_keeps_the_others_on(fault, phase, monkeypatch):
-    monkeypatch.setattr(_matrix, '_TRIES', 2)
-    cell = _matrix.line_fault('scpi', fault, phase)
-    assert cell.ok, str(cell)
-    assert (cell.unreachable > 0) or fault != 'line lost'
-
-
-def test_the_table_has_a_row_for_each_fault():
-    cells = [('scpi', 'silent', phase, _matrix.Cell([0.07])) for phase in _matrix.PHASES]
-    assert [*_matrix.table(cells)] == [
-        '| protocol | fault | arming | armed | zeroing | reconnecting |',
-        '|---|---|---|---|---|---|',
-        '| `scpi` | silent | 70 | 70 | 70 | 70 |']

@@ -28,6 +28,7 @@ def frame(text: str) -> bytes:
 def test_golden_bytes():
     assert codec.read(1, codec.CURRENT_MA) == bytes.fromhex('01030005 0001940b')
     assert codec.write(2, codec.DUTY_PERCENT, -50) == frame('02 06 0001 ffce')
+    assert ModbusAmplifier.gap_s >= 0.00175  # above 19,200 Bd (Modbus over serial line, 2.5.1.1)
 
 
 @pytest.mark.parametrize(('duty', 'percent'), [(1.0, 100), (-1.0, -100), (0.254, 25), (0.0, 0)])

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from bench._virtual import VirtualClock
 from microbot_ros.drive import polled
 from microbot_ros.drive.errors import NoAnswerError
 
@@ -13,31 +14,12 @@ ANSWER_S, PERIOD_S, REPLY_S, STRAY_S, INSPECT_S = 1 / 128, 1 / 64, 1 / 32, 1 / 1
 ONE_COIL = (1.0, 0.0, 0.0, 0.0)
 
 
-class Clock:
-    """A clock that goes on while somebody waits."""
-
-    def __init__(self) -> None:
-        self.now_s, self._looks = 0.0, 0
-
-    def now(self) -> float:
-        self._looks += 1
-        assert self._looks < 10_000, 'it fills the processor with looking at the clock'
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += max(seconds, 0.0)
-
-    def wait(self, _: object, seconds: float) -> bool:
-        self.sleep(seconds)
-        return False
-
-
 class Line:
     """A device that sets and tells one current, and what was said to it when."""
 
     url = 'line'
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: VirtualClock) -> None:
         self.said: list[tuple[float, bytes]] = []
         self.coming: list[tuple[float, bytes]] = []
         self.silent = False
@@ -95,7 +77,8 @@ def parse(received: bytes) -> float | None:
 
 @pytest.fixture
 def clock(monkeypatch):
-    clock = Clock()
+    clock = VirtualClock()
+    clock.now_s = 0.0
     monkeypatch.setattr(Device, 'clock', clock)
     monkeypatch.setattr(polled, '_STRAY_S', STRAY_S)
     return clock

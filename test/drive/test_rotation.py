@@ -123,14 +123,6 @@ def test_the_driver_turns_the_field_and_ends_at_zero(rig):
     device.eventually((0.0,) * 6)
 
 
-def test_what_turns_goes_stale_as_what_stands_does(rig):
-    driver, device, _ = rig
-    driver.gate.limits = replace(LIMITS, command_timeout_s=0.1)
-    assert driver.turn(turning((0, 0, 1), math.tau))
-    assert until(lambda: driver.gate.fault).reason is Reason.STALE
-    device.eventually((0.0,) * 6)
-
-
 @pytest.mark.parametrize(('axis', 'strength'), [
     ((math.nan, 0, 1), 0.5), ((0, 0, math.inf), 0.5), ((0, 0, 1), math.nan),
     ((0, 0, 1), math.inf), ((0, 0, 1), 2 * FULL_SCALE_A)])

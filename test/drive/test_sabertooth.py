@@ -18,7 +18,7 @@ from microbot_ros.drive.amplifiers.sabertooth.driver import SabertoothAmplifier
 from microbot_ros.drive.amplifiers.sabertooth.emulated import Controllers
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.emulator.coils import Coils
-from microbot_ros.drive.errors import NoAnswerError, PortBusyError, PortLostError
+from microbot_ros.drive.errors import NoAnswerError, PortLostError
 from microbot_ros.drive.gate import Limits, Reason
 
 ZERO = (0.0,) * 4
@@ -213,16 +213,6 @@ def test_the_timeout_leaves_time_for_the_next_packet(line, channels, timeout_s):
     assert amplifier.last_words() == [(7, *amplifier._zeros())]
 
 
-@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, math.nextafter(2, 3), -5.0])
-def test_a_current_outside_is_refused_before_any_byte(line, blind, value):
-    for coil in range(4):
-        currents = list(DRIVING)
-        currents[coil] = value
-        with pytest.raises(ValueError, match='within'):
-            blind.write(currents)
-    assert not line.sent
-
-
 def test_more_channels_than_eight_controllers_have_are_refused():
     with pytest.raises(InputError, match='1 to 16 coils'):
         SabertoothAmplifier('line', 2.0, 17)
@@ -293,24 +283,6 @@ def test_an_unplugged_line_is_noticed_and_comes_back_at_zero(make, device):
     rig.until(lambda: device.flows(ZERO), 0.2)
     rig.until(lambda: rig.driver.connected)
     assert not rig.gate.armed
-
-
-def test_two_drivers_on_one_port_is_an_error(make, device):
-    make()
-    with pytest.raises(PortBusyError):
-        device.amplifier().connect()
-
-
-def test_a_line_that_is_lost_says_so(device):
-    amplifier = device.amplifier()
-    amplifier.connect()
-    device.fault('unplug')
-    with pytest.raises(PortLostError):  # noqa: PT012 — which write sees it is chance
-        while True:
-            amplifier.write(DRIVING)
-            amplifier.poll(0.03)
-    assert amplifier.close() is Zero.UNREACHABLE
-    assert amplifier.unreachable == (device.url,)
 
 
 def test_a_connection_that_failed_at_its_first_message_sends_zeros_all_the_same(device):

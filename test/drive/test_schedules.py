@@ -10,8 +10,6 @@ from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import Limits
 
-QUICKLY = settings(max_examples=60, deadline=None, derandomize=True)
-AT_LENGTH = settings(max_examples=10_000, deadline=None, derandomize=True)
 PROTOCOLS = ('scpi', 'roboteq', 'roboclaw', 'modbus', 'serial_transfer', 'sabertooth')
 DRIVING = (1.0, -1.0, 0.5, 0.7)
 CHECKED = {'roboclaw', 'modbus', 'serial_transfer'}
@@ -93,65 +91,50 @@ def confirmed_or_named(amplifier, rig):
 
 every_protocol = pytest.mark.parametrize('protocol', PROTOCOLS)
 happenings = st.lists(acts, min_size=1, max_size=12)
-
-
-def lost_silent_and_slow_lines(protocol, planned, happening):
-    story = Story(protocol, planned)
-    for act, value in happening:
-        story.do(act, value)
-    if story.amplifier._lines:
-        confirmed_or_named(story.amplifier, story.rig)
-
-
-def damaged_lines(protocol, planned, happening, seed):
-    """What is damaged may keep a current; no zero is called confirmed that is none."""
-    story = Story(protocol, planned)
-    story.rig.faults._random.seed(seed)
-    for act, value in happening:
-        if act != 'close' or protocol in CHECKED:
-            story.do(act, value, undamaged=False)
-    if story.amplifier._lines and protocol in CHECKED:
-        zero = story.amplifier.close()
-        assert zero is not Zero.CONFIRMED or not any(story.rig.coils.currents_A)
-
-
-of_lines = given(st.lists(faults, min_size=1, max_size=4), happenings)
 damaged = st.sampled_from(['drop=0.05', 'flip=0.05', 'double=0.05', 'truncate=0.1'])
 damages = st.tuples(damaged, st.integers(0, 4), moments, lasting)
-of_bytes = given(st.lists(damages | faults, min_size=1, max_size=4), happenings,
-                 st.integers(0, 1000))
+
+
+def orders_of(quickly):
+    """So many examples, and in `make soak` ten thousand."""
+    return pytest.mark.parametrize('examples', [quickly, pytest.param(
+        10_000, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])])
+
+
+def tell(examples, story, *strategies):
+    """Tell a story in so many examples, the same on every run."""
+    settings(max_examples=examples, deadline=None, derandomize=True)(given(*strategies)(story))()
 
 
 @every_protocol
-@of_lines
-@QUICKLY
-def test_any_order_of_lost_silent_and_slow_lines(protocol, planned, happening):
-    lost_silent_and_slow_lines(protocol, planned, happening)
+@orders_of(60)
+def test_any_order_of_lost_silent_and_slow_lines(protocol, examples):
+    def lost(planned, happening):
+        story = Story(protocol, planned)
+        for act, value in happening:
+            story.do(act, value)
+        if story.amplifier._lines:
+            confirmed_or_named(story.amplifier, story.rig)
+
+    tell(examples, lost, st.lists(faults, min_size=1, max_size=4), happenings)
 
 
 @every_protocol
-@of_bytes
-@QUICKLY
-def test_any_order_of_damaged_lines(protocol, planned, happening, seed):
-    damaged_lines(protocol, planned, happening, seed)
+@orders_of(60)
+def test_any_order_of_damaged_lines(protocol, examples):
+    """What is damaged may keep a current; no zero is called confirmed that is none."""
+    def damaging(planned, happening, seed):
+        story = Story(protocol, planned)
+        story.rig.faults._random.seed(seed)
+        for act, value in happening:
+            if act != 'close' or protocol in CHECKED:
+                story.do(act, value, undamaged=False)
+        if story.amplifier._lines and protocol in CHECKED:
+            zero = story.amplifier.close()
+            assert zero is not Zero.CONFIRMED or not any(story.rig.coils.currents_A)
 
-
-@pytest.mark.soak
-@pytest.mark.timeout(7200)
-@every_protocol
-@of_lines
-@AT_LENGTH
-def test_ten_thousand_orders_of_lost_silent_and_slow_lines(protocol, planned, happening):
-    lost_silent_and_slow_lines(protocol, planned, happening)
-
-
-@pytest.mark.soak
-@pytest.mark.timeout(7200)
-@every_protocol
-@of_bytes
-@AT_LENGTH
-def test_ten_thousand_orders_of_damaged_lines(protocol, planned, happening, seed):
-    damaged_lines(protocol, planned, happening, seed)
+    tell(examples, damaging, st.lists(damages | faults, min_size=1, max_size=4), happenings,
+         st.integers(0, 1000))
 
 
 # With the driver of the coils ---------------------------------------------------------------
@@ -228,29 +211,14 @@ class DrivenStory:
             assert not flows or unwanted_s <= SOON_S + 0.01
 
 
-def driven(protocol, planned, happening):
-    story = DrivenStory(protocol, planned)
-    for act, value in happening:
-        story.do(act, value)
-    story.turn(0.5)
-
-
-of_orders = given(st.lists(faults, min_size=1, max_size=3),
-                  st.lists(orders, min_size=1, max_size=8))
-
-
 @every_protocol
-@of_orders
-@settings(QUICKLY, max_examples=30)
-def test_no_current_outlives_whoever_wants_it(protocol, planned, happening):
-    driven(protocol, planned, happening)
+@orders_of(30)
+def test_no_current_outlives_whoever_wants_it(protocol, examples):
+    def driven(planned, happening):
+        story = DrivenStory(protocol, planned)
+        for act, value in happening:
+            story.do(act, value)
+        story.turn(0.5)
 
-
-@pytest.mark.soak
-@pytest.mark.timeout(7200)
-@every_protocol
-@of_orders
-@AT_LENGTH
-def test_no_current_outlives_whoever_wants_it_in_ten_thousand_orders(
-        protocol, planned, happening):
-    driven(protocol, planned, happening)
+    tell(examples, driven, st.lists(faults, min_size=1, max_size=3),
+         st.lists(orders, min_size=1, max_size=8))

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import pytest
 
 from bench._virtual import VirtualAmplifier
-from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.amplifiers.scpi import codec
 from microbot_ros.drive.amplifiers.scpi.driver import ScpiAmplifier
@@ -154,9 +153,3 @@ def test_a_zero_is_repeated_while_an_answer_is_awaited():
         amplifier.zero()
     assert [len(line.sent) for line in device.lines] == [count[0], *(n + 1 for n in count[1:])]
     assert amplifier.unreachable == (device.urls[0],)
-
-
-@pytest.mark.parametrize('url', ['a', 'a,b,c', 'a,b,c,d,e', ''])
-def test_one_port_for_each_coil_is_needed(url):
-    with pytest.raises(InputError, match='4 serial ports'):
-        ScpiAmplifier(url, 2.0)

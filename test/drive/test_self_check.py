@@ -1,11 +1,14 @@
 """The self-check over coils of arithmetic."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench import _emulator as emulated
+from bench._emulator import FULL_SCALE_A
 from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import COILS, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
@@ -14,11 +17,7 @@ from microbot_ros.drive.self_check import SelfCheck
 
 ZERO = (0.0,) * 4
 
-FULL_SCALE_A = 2.0
-LIMITS = Limits(
-    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, command_timeout_s=0.8,
-    deviation_A=0.2, settling_s=0.5, feedback_timeout_s=0.8, rated_current_A=1.5, thermal_s=60.0,
-    idle_s=60.0)
+LIMITS = replace(emulated.LIMITS, deviation_A=0.2, settling_s=0.5)
 PULSE_A = 3 * LIMITS.deviation_A
 RATE_S = 0.02
 

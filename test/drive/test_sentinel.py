@@ -10,7 +10,6 @@ import pytest
 
 from bench._emulator import until
 from microbot_ros.drive import last_resort, sentinel
-from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.amplifiers.roboclaw import driver as roboclaw
 
 pytestmark = pytest.mark.rig
@@ -88,15 +87,10 @@ def test_the_sentinel_is_fed_now_and_then_and_not_each_time(monkeypatch):
     last.dismiss()
 
 
-def test_the_sentinel_has_a_session_of_its_own():
+def test_the_sentinel_has_a_session_of_its_own_and_is_as_quick_as_the_watchdogs_of_devices():
     """What is sent to all of the host's group, of a terminal, is not sent to it."""
     last = last_resort.LastResort([])
     assert os.getsid(last._process.pid) == last._process.pid
-    last.dismiss()
-
-
-def test_the_sentinel_is_as_quick_as_the_watchdogs_of_devices():
-    last = last_resort.LastResort([])
     assert float(last._process.args[4]) <= roboclaw._WATCHDOG_S
     last.dismiss()
     assert last_resort._FEED_S <= last_resort._SILENCE_S / 4  # three that are lost are no end
@@ -151,15 +145,6 @@ def test_an_abandoned_sentinel_zeroes_and_ends_and_leaves_no_zombie(lines):
         assert len(words) >= sentinel.REPEATS * len(word)
 
 
-def test_a_dismissed_sentinel_says_nothing(lines):
-    heard, writing = lines
-    last = last_resort.LastResort(list(zip(writing, WORDS, strict=True)))
-    assert last.feed()
-    last.dismiss()
-    assert last._process.returncode == 0
-    assert said(heard[0]) == said(heard[1]) == b''
-
-
 def test_an_abandoned_sentinel_that_hangs_holds_nobody_up_and_is_killed():
     last = last_resort.LastResort([])
     os.kill(last._process.pid, signal.SIGSTOP)
@@ -207,18 +192,6 @@ def test_the_sentinel_stays_where_it_may_not_move(tmp_path):
     own.write_text('0::/a/b')
     (tmp_path / 'a').write_text('no folder')
     assert sentinel.step_aside(str(tmp_path), str(own)) is False
-
-
-@pytest.mark.parametrize(('url', 'watchable'), [
-    ('/dev/ttyACM0', True), ('/dev/serial/by-id/usb-a', True), ('socket://host:1', True),
-    ('hwgrep://usb', True), ('rfc2217://host:1', False), ('loop://', False),
-    ('cp2110://a', False)])
-def test_it_is_known_beforehand_whether_a_sentinel_can_hold_a_line(url, watchable):
-    assert amplifier_class('modbus')(url, 2.0).watchable is watchable
-    for number in range(4):
-        urls = ['/dev/ttyUSB0'] * 4
-        urls[number] = url
-        assert amplifier_class('scpi')(','.join(urls), 2.0).watchable is watchable
 
 
 def test_a_line_that_is_gone_does_not_keep_the_others_from_being_zeroed(lines):

@@ -8,8 +8,8 @@ import pytest
 
 from bench._emulator import FULL_SCALE_A, MEASURED, until
 from microbot_ros.drive import sentinel
-from microbot_ros.drive.amplifier import Zero, amplifier_class
-from microbot_ros.drive.errors import NoAnswerError, PortBusyError, PortLostError
+from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.errors import PortBusyError, PortLostError
 
 ZERO = (0.0,) * 4
 DRIVING = (1.0, -1.0, 0.5, 0.2)
@@ -82,24 +82,3 @@ def test_a_waiting_poll_is_woken_by_another_thread(amplifier, device):
     returned.set()
     waking.join()
     assert waited_s < 4.0
-
-
-def test_a_poll_returns_in_its_time(amplifier, device):
-    drive(amplifier, device)
-    device.fault('silence')
-    amplifier.reply_s = 60.0
-    until(lambda: not amplifier.poll(0.01))
-    begin = time.monotonic()
-    assert amplifier.poll(0.05) == []
-    assert 0.045 <= time.monotonic() - begin < 5.0
-
-
-def test_a_terminal_where_nothing_answers_is_given_back(device, protocol):
-    device.fault('silence')
-    impatient = amplifier_class(protocol)(device.url, FULL_SCALE_A)
-    impatient.reply_s = impatient._boot_s = 0.03
-    impatient.read_back_s = 0.1
-    with pytest.raises(NoAnswerError, match='no answer'):
-        impatient.connect()
-    until(lambda: not any(line.present for line in device.lines))
-    assert device.flows(ZERO)
