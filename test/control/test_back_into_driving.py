@@ -163,19 +163,6 @@ def test_every_way_back_starts_from_the_field_that_flows(slew, mood, spells):
             rig.tick(**tick)
 
 
-@pytest.mark.parametrize('way', WAYS)
-@pytest.mark.parametrize('dt', [1e-9, 0.001, 0.01, *ODD[:-1]])
-def test_hold_never_gives_the_field_of_before(way, dt):
-    Moody.mood = no_field('')
-    rig = Rig(slew=0.1)
-    rig.drive('east')
-    rig.interrupt(way)
-    rig.manager.switch_controller('hold')
-    before = np.hypot(*rig.flowing)
-    rig.tick(dt)
-    assert np.hypot(*rig.flowing) < before or not before
-
-
 class NoNumberAside(BackgroundField):
     """An effect of somebody's own that knows no field off the x axis."""
 

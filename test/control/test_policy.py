@@ -10,25 +10,16 @@ import onnx
 import pytest
 import yaml
 from onnx import TensorProto, helper, numpy_helper
+from workers import Unhurried
 
-from microbot_ros.common import settings
 from microbot_ros.common.errors import InputError
 from microbot_ros.control.contract import Goals, ModelError, Result
-from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.manager import ControllerManager
 from microbot_ros.control.plugins.hold import Hold
 from microbot_ros.control.plugins.policy import Policy, PolicyParameters
 from microbot_ros.control.testkit import controller_input, exercise
 from microbot_ros.virtual_rig import simulation
 from microbot_ros.virtual_rig.scenario import read_scenario
-
-
-class Unhurried(DeadlineWorker):
-    """Calls at once."""
-
-    def call(self, function, deadline):
-        return function()
-
 
 EXAMPLE = runpy.run_path(
     str(Path(__file__).parents[2] / 'docs/examples/train_policy.py'), run_name='example')
@@ -179,8 +170,3 @@ def test_without_onnxruntime_one_line_names_the_extra(monkeypatch, proportional)
     monkeypatch.setitem(sys.modules, 'onnxruntime', None)
     with pytest.raises(InputError, match=r'pip install microbot_ros\[onnx\]$'):
         policy(proportional)
-
-
-def test_its_parameters_are_described():
-    assert list(settings.defaults(PolicyParameters)) == [
-        'file', 'field_mT', 'learn_phi_std_rad', 'learn_leg_s']

@@ -8,7 +8,7 @@ import pytest
 from bench._rolling_loop import Rollers, RollingLoop
 from microbot_ros.control.contract import ModelError, ParticleLostError
 from microbot_ros.control.plugins.pushing import Pushing, PushingParameters
-from microbot_ros.control.testkit import controller_input, exercise
+from microbot_ros.control.testkit import controller_input
 from microbot_ros.model.model import Model
 
 ALONG = np.linspace(0, 1, 61)
@@ -31,10 +31,6 @@ def pushed(start_um, seed=0):
 
     loop.run(controller, 60.0, note, path=BEND)
     return np.array(places), done[-1]
-
-
-def test_it_keeps_the_contract():
-    exercise(Pushing)
 
 
 @pytest.mark.parametrize('start_um', [(-10, 0), (8, 8), (12, 0)])

@@ -17,7 +17,7 @@ from microbot_ros.control.contract import (
 )
 from microbot_ros.control.planning.swarm_paths import Room, between, find_ways
 from microbot_ros.control.plugins.swarm import Swarm, SwarmParameters
-from microbot_ros.control.testkit import VIEW, controller_input, exercise
+from microbot_ros.control.testkit import VIEW, controller_input
 from microbot_ros.model.model import Model
 
 WALLS_UM = [0.0, -104.0, 0.0, -15.0, 0.0, 15.0, 0.0, 104.0]
@@ -37,10 +37,6 @@ def swarm(**parameters):
     controller = Swarm()
     controller.configure(SwarmParameters(**parameters))
     return controller
-
-
-def test_it_keeps_the_contract():
-    exercise(Swarm)
 
 
 def test_ways_pass_a_slit_one_after_the_other():

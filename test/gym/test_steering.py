@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import yaml
 from gymnasium.utils.env_checker import check_env
+from workers import Unhurried
 
 import microbot_ros.gym
 from microbot_ros.common.errors import InputError
 from microbot_ros.control.contract import Controller, FieldCommand, Goals, NoSolutionError
-from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.manager import ControllerManager
 from microbot_ros.control.plugins.policy import Policy
 from microbot_ros.control.policy_task import PolicyTask, wanted_field
@@ -25,14 +25,6 @@ from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.virtual_rig.coil_gradients import coil_gradients
 from microbot_ros.virtual_rig.dynamics import advance_worlds
 from microbot_ros.virtual_rig.world import FieldHistory, World
-
-
-class Unhurried(DeadlineWorker):
-    """Calls at once."""
-
-    def call(self, function, deadline):
-        return function()
-
 
 STEERING = 'microbot_ros/Steering-v0'
 CONFIG = Path(__file__).parents[2] / 'config'

@@ -24,6 +24,7 @@ import rclpy.utilities
 from command_line import microbot
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.publisher import Publisher
 from rig_file import write_rig
 
 from microbot_ros.nodes.base.lifecycle import RigNode
@@ -106,6 +107,12 @@ class Ros:
         heard: list[Any] = []
         self.probe.create_subscription(kind, topic, heard.append, qos)
         return heard
+
+    def talk(self, kind: type, topic: str, qos: Any = 10) -> Publisher:
+        """Return a publisher of a topic that one node listens to, once it does."""
+        publisher = self.probe.create_publisher(kind, topic, qos)
+        self.until(lambda: publisher.get_subscription_count() == 1)
+        return publisher
 
     def call(self, kind: type, name: str, request: Any) -> Any:
         """Return the answer of a service."""
