@@ -76,21 +76,6 @@ def emulator(request: pytest.FixtureRequest, tmp_path: Path,
 
 
 @pytest.fixture
-def emulator_in() -> Iterator[Callable[[Path], EmulatorProcess]]:
-    """Makes emulated amplifiers, each in a folder, that are switched off at the end."""
-    made: list[EmulatorProcess] = []
-
-    def start(folder: Path) -> EmulatorProcess:
-        folder.mkdir()
-        made.append(EmulatorProcess(folder))
-        return made[-1]
-
-    yield start
-    for emulator in made:
-        emulator.end()
-
-
-@pytest.fixture
 def ros(tmp_path: Path) -> Iterator[Callable[[dict[str, dict[str, Any]]], Ros]]:
     """Makes a graph in this process from parameters; ends it afterwards."""
     yield from graphs(tmp_path)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from command_line import microbot
 from diagnostic_msgs.msg import DiagnosticStatus
+from films import HEADING, PLACE, film
 from geometry_msgs.msg import Point, PointStamped, TwistStamped, Vector3Stamped
 from rclpy.parameter import Parameter
 from schemas import conforming
@@ -24,27 +25,25 @@ from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import IMAGES_IN, LATCHED
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
-PLACE = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6
-
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder of 40 pictures."""
-    path = tmp_path / 'film'
-    path.mkdir()
-    scope = Microscope(MicroscopeSettings(), seed=3)
-    for k in range(40):
-        picture = scope.render(PLACE, np.array([0.3, 1.0, 2.0]), k / 30)
-        cv2.imwrite(str(path / f'{k:03d}.png'), picture)
-    return path
+    return film(tmp_path / 'film', 40)
 
 
-def test_frames_become_particles_where_they_are(ros: Any, folder: Path) -> None:
+def filmed(ros: Any, folder: Path) -> tuple[Any, list[PointCloud2]]:
+    """A graph whose camera plays the film in a loop, and the particles that are found in it."""
     graph = ros({'camera': {'source': str(folder), 'frame_rate_hz': 60, 'loop': True},
                  'tracker': {'pixel_size_um': 0.45}})
     particles = graph.hear(PointCloud2, 'particles')
     assert graph.add('tracker').active
     assert graph.add('camera').active, graph.nodes['camera'].fault
+    return graph, particles
+
+
+def test_frames_become_particles_where_they_are(ros: Any, folder: Path) -> None:
+    graph, particles = filmed(ros, folder)
 
     def all_found() -> bool:
         return bool(particles) and particles[-1].width == len(PLACE)
@@ -58,16 +57,11 @@ def test_frames_become_particles_where_they_are(ros: Any, folder: Path) -> None:
 
 def test_what_is_pointed_at_is_followed_and_its_name_reaches_who_comes_later(
         ros: Any, folder: Path) -> None:
-    graph = ros({'camera': {'source': str(folder), 'frame_rate_hz': 60, 'loop': True},
-                 'tracker': {'pixel_size_um': 0.45}})
-    particles = graph.hear(PointCloud2, 'particles')
-    assert graph.add('tracker').active
-    assert graph.add('camera').active, graph.nodes['camera'].fault
+    graph, particles = filmed(ros, folder)
     graph.until(lambda: bool(particles))
     taught = graph.hear(DiagnosticStatus, 'tracker/taught', LATCHED)
 
-    examples = graph.probe.create_publisher(PointStamped, 'tracker/like', 10)
-    graph.until(examples.get_subscription_count)
+    examples = graph.talk(PointStamped, 'tracker/like')
 
     def point(frame_id: str, x: float, y: float) -> DiagnosticStatus:
         before = len(taught)
@@ -115,8 +109,7 @@ def test_kinds_that_were_learned_by_colour_are_followed_in_colour(
     graph = ros({'tracker': {'settings_file': str(tmp_path / 'out' / 'learned.yaml')}})
     tracker = graph.add('tracker')
     assert tracker.active, tracker.fault
-    publisher = graph.probe.create_publisher(Image, 'camera/image_raw', 10)
-    graph.until(lambda: publisher.get_subscription_count() == 1)
+    publisher = graph.talk(Image, 'camera/image_raw')
     particles, begin = graph.hear(PointCloud2, 'particles'), tracker.seconds()
 
     def came(count: int) -> bool:
@@ -133,11 +126,8 @@ def test_kinds_that_were_learned_by_colour_are_followed_in_colour(
 
 def test_frames_go_on_while_the_tracker_is_taught(
         ros: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    graph = ros({'camera': {'source': str(folder), 'frame_rate_hz': 60, 'loop': True},
-                 'tracker': {'pixel_size_um': 0.45}})
-    particles = graph.hear(PointCloud2, 'particles')
-    tracker = graph.add('tracker')
-    assert graph.add('camera').active, graph.nodes['camera'].fault
+    graph, particles = filmed(ros, folder)
+    tracker = graph.nodes['tracker']
     graph.until(lambda: bool(particles))
     begun, seen = threading.Event(), threading.Event()
 
@@ -147,8 +137,7 @@ def test_frames_go_on_while_the_tracker_is_taught(
         return 'learned'
     monkeypatch.setattr(tracker.stage, 'teach', slowly)
     taught = graph.hear(DiagnosticStatus, 'tracker/taught', LATCHED)
-    examples = graph.probe.create_publisher(PointStamped, 'tracker/like', 10)
-    graph.until(examples.get_subscription_count)
+    examples = graph.talk(PointStamped, 'tracker/like')
     examples.publish(PointStamped(header=Header(frame_id='camera_pixels')))
     graph.until(begun.is_set)
     before = len(particles)
@@ -176,22 +165,25 @@ def test_pictures_that_cannot_be_read_are_left_out_and_said(ros: Any, folder: Pa
     graph = ros({'camera': {'source': str(folder), 'frame_rate_hz': 500.0}})
     camera = graph.add('camera')
     graph.until(lambda: 'ended after 38 frames' in camera.health()[1])
+    assert camera.health()[2]['frames_lost'] == 2
 
 
-@pytest.mark.parametrize(('source', 'expected'), [
-    ('', 'expected the parameter source'),
-    ('/nowhere/film.mp4', '/nowhere/film.mp4'),
-    ('/dev/video99', '/dev/video99'),
-    ('EMPTY', 'no frame'),
-    ('FOLDER', 'expected images'),
+@pytest.mark.parametrize(('source', 'more', 'expected'), [
+    ('', {}, 'expected the parameter source'),
+    ('/nowhere/film.mp4', {}, '/nowhere/film.mp4'),
+    ('/dev/video99', {'exposure_ms': 3.0}, 'expected a camera that delivers frames'),
+    ('EMPTY', {}, 'no frame'),
+    ('FOLDER', {}, 'expected images'),
+    ('FILM', {'gain': 3.0}, 'gain cannot be set'),
+    ('x', {'camera': 'polaroid'}, 'expected one of aravis, file'),
 ])
 def test_no_source_no_camera_and_no_other_one(
-        ros: Any, tmp_path: Path, source: str, expected: str) -> None:
-    (tmp_path / 'empty.mp4').write_bytes(b'')
-    (tmp_path / 'folder').mkdir()
-    source = {'EMPTY': str(tmp_path / 'empty.mp4'), 'FOLDER': str(tmp_path / 'folder')}.get(
-        source, source)
-    node = ros({'camera': {'source': source}}).add('camera')
+        ros: Any, folder: Path, source: str, more: dict[str, Any], expected: str) -> None:
+    empty, none = folder.with_name('empty.mp4'), folder.with_name('folder')
+    empty.write_bytes(b'')
+    none.mkdir()
+    source = {'EMPTY': str(empty), 'FOLDER': str(none), 'FILM': str(folder)}.get(source, source)
+    node = ros({'camera': {'source': source, **more}}).add('camera')
     assert not node.active
     assert expected in node.fault
     assert '\n' not in node.fault
@@ -202,14 +194,13 @@ def test_a_wrong_frame_in_mid_stream_is_reported_and_passed_over(ros: Any, broke
     graph = ros({'tracker': {'pixel_size_um': 0.45}})
     tracker = graph.add('tracker')
     assert tracker.active, tracker.fault
-    publisher = graph.probe.create_publisher(Image, 'camera/image_raw', 10)
-    graph.until(lambda: publisher.get_subscription_count() == 1)
+    publisher = graph.talk(Image, 'camera/image_raw')
     particles = graph.hear(PointCloud2, 'particles')
     scope = Microscope(MicroscopeSettings(), seed=3)
     begin = tracker.seconds()
 
     def frame(k: int, height: int = 480) -> Image:
-        picture = scope.render(PLACE, np.array([0.3, 1.0, 2.0]), k / 30)[:height]
+        picture = scope.render(PLACE, HEADING, k / 30)[:height]
         return messages.image(picture, messages.to_stamp(begin + k / 30))
 
     def seen() -> list[int]:
@@ -279,8 +270,7 @@ def test_a_field_in_another_frame_turns_nothing(ros: Any, source: str, kind: typ
     graph = ros({'tracker': {'field_source': source}})
     tracker = graph.add('tracker')
     topic = 'field/rotating' if source == 'rotation' else f'field/{source}'
-    sent = graph.probe.create_publisher(kind, topic, 10)
-    graph.until(lambda: sent.get_subscription_count() == 1)
+    sent = graph.talk(kind, topic)
     message = kind()
     message.header.frame_id = 'camera'
     sent.publish(message)
@@ -292,8 +282,7 @@ def test_a_camera_that_is_gone_is_said_whatever_its_clock_said(ros: Any) -> None
     """A last frame stamped an hour ahead would look fresh for an hour."""
     graph = ros({'tracker': {}})
     tracker = graph.add('tracker')
-    frames = graph.probe.create_publisher(Image, 'camera/image_raw', 10)
-    graph.until(lambda: frames.get_subscription_count() == 1)
+    frames = graph.talk(Image, 'camera/image_raw')
     picture = MicroscopeSettings()
     image = np.zeros((picture.height_px, picture.width_px), np.uint8)
     frames.publish(messages.image(image, messages.to_stamp(tracker.seconds() + 3600.0)))

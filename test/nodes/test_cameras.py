@@ -7,10 +7,8 @@ import math
 import threading
 import time
 from collections import deque
-from pathlib import Path
 from typing import Any, ClassVar
 
-import cv2
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
@@ -174,32 +172,6 @@ def test_depth_and_bayer_pattern_are_handed_on(bench: Any, monkeypatch: Any) -> 
         bench.until(lambda seen=seen: len(bench.images) > seen)
         assert bench.images[-1].encoding == encoding
         assert np.frombuffer(bench.images[-1].data, depth).tolist() == picture.ravel().tolist()
-
-
-def test_frames_that_no_file_has_are_lost_too(ros: Any, tmp_path: Path) -> None:
-    for k in range(6):
-        cv2.imwrite(str(tmp_path / f'{k}.png'), np.full((8, 8), k, np.uint8))
-    (tmp_path / '3.png').write_bytes(b'')
-    camera = ros({'camera': {'source': str(tmp_path), 'frame_rate_hz': 500.0}})
-    node = camera.add('camera')
-    camera.until(lambda: 'ended after 5 frames' in node.health()[1])
-    assert node.health()[2]['frames_lost'] == 1
-
-
-@pytest.mark.parametrize(('parameters', 'said'), [
-    ({'camera': 'polaroid', 'source': 'x'}, 'expected one of aravis, file'),
-    ({'source': 'TMP', 'gain': 3.0}, 'gain cannot be set'),
-    ({'source': '/dev/video99', 'exposure_ms': 3.0}, 'expected a camera that delivers frames'),
-])
-def test_what_cannot_be_is_said_at_the_start(
-        ros: Any, tmp_path: Path, parameters: dict[str, Any], said: str) -> None:
-    cv2.imwrite(str(tmp_path / '0.png'), np.zeros((8, 8), np.uint8))
-    if parameters['source'] == 'TMP':
-        parameters = {**parameters, 'source': str(tmp_path)}
-    node = ros({'camera': parameters}).add('camera')
-    assert not node.active
-    assert said in node.fault
-    assert '\n' not in node.fault
 
 
 def test_a_package_that_is_missing_is_named(monkeypatch: Any) -> None:

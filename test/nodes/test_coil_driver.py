@@ -26,8 +26,7 @@ from microbot_ros.nodes.coil_driver import LIMITS
 def _start(emulator: Any, ros: Any, **parameters: Any) -> Any:
     graph = ros({'coil_driver': {'port': emulator.url, 'full_scale_A': 2.0, **parameters}})
     assert graph.add('coil_driver').active
-    graph.commands = graph.probe.create_publisher(Vector3Stamped, 'field/command', 10)
-    graph.until(lambda: graph.commands.get_subscription_count() == 1)
+    graph.commands = graph.talk(Vector3Stamped, 'field/command')
     return graph
 
 
@@ -43,6 +42,11 @@ def _arm(graph: Any, on: bool = True) -> Any:
 def _command(graph: Any, x: float, y: float, age: float = 0.0) -> None:
     stamp = messages.to_stamp(graph.nodes['coil_driver'].seconds() - age)
     graph.commands.publish(messages.field_vector(np.array([x, y]), stamp))
+
+
+def _driving(graph: Any, emulator: Any) -> None:
+    graph.until(lambda: _arm(graph).success)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
 
 
 def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None:
@@ -69,8 +73,9 @@ def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None
     assert plus_x == pytest.approx(-minus_x, rel=1e-3)
     assert plus_y == pytest.approx(-minus_y, rel=1e-3)
     assert plus_x > 0 > plus_y
-    checked = graph.nodes['coil_driver'].health()[2]['self_check']
-    assert checked == 'passed, gains 1.00, 1.00, 1.00, 1.00'
+    told = graph.nodes['coil_driver'].health()[2]
+    assert told['self_check'] == 'passed, gains 1.00, 1.00, 1.00, 1.00'
+    assert told['watchdog'].startswith('in the firmware, zeroed after ')
 
 
 def test_whether_it_is_armed_is_published_on_change_and_to_late_subscribers(
@@ -95,24 +100,11 @@ def test_whether_it_is_armed_is_published_on_change_and_to_late_subscribers(
     assert [one.data for one in late] == [False]
 
 
-def test_nothing_flows_before_arming(emulator: Any, ros: Any) -> None:
-    graph = _start(emulator, ros)
-    received = graph.nodes['coil_driver']._driver.amplifier.counters
-
-    begin = received.frames_received
-    def answered() -> bool:
-        _command(graph, 3e-3, 0.0)
-        return received.frames_received > begin + 20
-    graph.until(answered)
-    assert not any(any(entry['currents_A']) for entry in emulator.entries())
-
-
 @pytest.mark.parametrize('field', [(math.nan, 0.0), (0.0, math.inf), (-math.inf, math.nan)])
 def test_a_field_that_is_no_number_latches_zero(
         emulator: Any, ros: Any, field: tuple[float, float]) -> None:
     graph = _start(emulator, ros)
-    graph.until(lambda: _arm(graph).success)
-    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    _driving(graph, emulator)
     _command(graph, *field)
     driver = graph.nodes['coil_driver']
     graph.until(lambda: driver._driver.gate.fault)
@@ -130,8 +122,7 @@ def test_a_field_that_is_no_number_latches_zero(
 @pytest.mark.parametrize('age', [3.0, -1.0])
 def test_silence_and_stale_stamps_end_in_zero(emulator: Any, ros: Any, age: float) -> None:
     graph = _start(emulator, ros)
-    graph.until(lambda: _arm(graph).success)
-    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    _driving(graph, emulator)
 
     def no_command_of_now() -> bool:
         _command(graph, 3e-3, 0.0, age=age)
@@ -145,8 +136,7 @@ def test_silence_and_stale_stamps_end_in_zero(emulator: Any, ros: Any, age: floa
 def test_every_way_out_ends_in_zero(emulator: Any, ros: Any, leave: str) -> None:
     graph = _start(emulator, ros, command_timeout_ms=1000.0)  # nothing goes stale meanwhile
     driver = graph.nodes['coil_driver']
-    graph.until(lambda: _arm(graph).success)
-    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    _driving(graph, emulator)
     if leave == 'exception':
         def broken(_: Any) -> None:
             raise RuntimeError('broken on purpose')
@@ -163,8 +153,7 @@ def test_the_line_may_go_and_come_back_but_stays_disarmed(
         emulator: Any, ros: Any, tmp_path: Any) -> None:
     graph = _start(emulator, ros)
     driver = graph.nodes['coil_driver']
-    graph.until(lambda: _arm(graph).success)
-    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    _driving(graph, emulator)
     armed = graph.hear(Bool, 'coil_driver/armed', LATCHED)
     graph.until(lambda: armed and armed[-1].data)
     emulator.end()
@@ -172,20 +161,16 @@ def test_the_line_may_go_and_come_back_but_stays_disarmed(
     assert driver.health()[0] == b'\x02'
     refusal = _arm(graph)
     assert (refusal.success, 'not connected' in refusal.message) == (False, True)
-    again = type(emulator)(tmp_path)
-    try:
+    with type(emulator)(tmp_path) as again:
         graph.until(lambda: driver._driver.connected)
         assert again.zero
         graph.until(lambda: _arm(graph).success)
-    finally:
-        again.end()
 
 
 def test_a_coil_that_is_reversed_cannot_be_armed_and_is_named(
         emulator: Any, ros: Any, tmp_path: Any) -> None:
     emulator.end()
-    reversed_coil = type(emulator)(tmp_path, faults=['reversed=2'])
-    try:
+    with type(emulator)(tmp_path, faults=['reversed=2']) as reversed_coil:
         graph = _start(reversed_coil, ros)
         health = graph.nodes['coil_driver'].health
         assert health()[2]['self_check'] == 'not passed yet'
@@ -194,8 +179,6 @@ def test_a_coil_that_is_reversed_cannot_be_armed_and_is_named(
         assert level == b'\x02'
         assert sentence.startswith('disarmed, self-check: coil_plus_x is reversed')
         assert values['self_check'] == 'not passed yet'
-    finally:
-        reversed_coil.end()
 
 
 def test_without_a_self_check_the_diagnostics_say_so(emulator: Any, ros: Any) -> None:
@@ -203,11 +186,6 @@ def test_without_a_self_check_the_diagnostics_say_so(emulator: Any, ros: Any) ->
     graph.until(lambda: _arm(graph).success)
     assert not any(any(entry['currents_A']) for entry in emulator.entries())
     assert graph.nodes['coil_driver'].health()[2]['self_check'].startswith('not checked: ')
-
-
-def _driving(graph: Any, emulator: Any) -> None:
-    graph.until(lambda: _arm(graph).success)
-    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
 
 
 def _fault(graph: Any) -> str:
@@ -286,37 +264,15 @@ def test_a_command_in_another_frame_is_none(emulator: Any, ros: Any) -> None:
     assert len(emulator.entries()) == begin
 
 
-@pytest.fixture
-def unwatched(emulator: Any, tmp_path: Any) -> Any:
-    """A board whose firmware keeps the last command for ever."""
+def test_a_board_without_a_watchdog_is_driven_where_it_is_accepted_by_name(
+        emulator: Any, ros: Any, tmp_path: Any) -> None:
     emulator.end()
-    board = type(emulator)(tmp_path, watchdog_s=None)
-    yield board
-    board.end()
-
-
-def test_a_board_without_a_watchdog_cannot_be_armed(unwatched: Any, ros: Any) -> None:
-    graph = _start(unwatched, ros)
-    graph.until(lambda: 'has no watchdog' in _arm(graph).message)
-    graph.until(lambda: unwatched.zero)
-    assert 'accept_no_watchdog: true' in _fault(graph)
-
-
-def test_unless_it_is_accepted_by_name(unwatched: Any, ros: Any) -> None:
-    graph = _start(unwatched, ros, accept_no_watchdog=True)
-    graph.until(lambda: _arm(graph).success)
-    assert 'loses its power' in _arm(graph).message
-    _driving(graph, unwatched)
-    assert 'loses its power' in graph.nodes['coil_driver'].health()[1]
-
-
-def test_the_watchdog_of_a_board_is_tried_on_arming(emulator: Any, ros: Any) -> None:
-    graph = _start(emulator, ros)
-    graph.until(lambda: _arm(graph).success)
-    causes = [entry['cause'] for entry in emulator.entries() if not any(entry['currents_A'])]
-    assert causes[-1] == 'watchdog'
-    told = graph.nodes['coil_driver'].health()[2]['watchdog']
-    assert told.startswith('in the firmware, zeroed after ')
+    with type(emulator)(tmp_path, watchdog_s=None) as unwatched:
+        graph = _start(unwatched, ros, accept_no_watchdog=True)
+        graph.until(lambda: _arm(graph).success)
+        assert 'loses its power' in _arm(graph).message
+        _driving(graph, unwatched)
+        assert 'loses its power' in graph.nodes['coil_driver'].health()[1]
 
 
 def test_a_fault_names_the_parameters_of_its_limit(emulator: Any, ros: Any) -> None:

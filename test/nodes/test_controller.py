@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import time
@@ -77,6 +76,11 @@ class Loop:
         return math.hypot(last.x, last.y)
 
 
+def values(told: list[DiagnosticStatus]) -> dict[str, str]:
+    """Of the last report of progress; none before the first."""
+    return {pair.key: pair.value for pair in told[-1].values} if told else {}
+
+
 def test_hold_commands_zero_with_the_stamp_of_the_exposure(ros: Any) -> None:
     loop = Loop(ros)
     loop.see(age=0.05)
@@ -120,29 +124,6 @@ def test_poses_that_stop_mean_one_zero_and_silence(ros: Any) -> None:
     assert len(loop.fields) == count
 
 
-@pytest.mark.parametrize('place', [(math.nan, 0.0), (math.inf, 0.0), (1.0, 1.0)])
-def test_a_goal_that_cannot_be_is_refused_with_zero(
-        ros: Any, place: tuple[float, float]) -> None:
-    loop = Loop(ros, controller='waypoint')
-    loop.go(place)
-    loop.graph.until(lambda: len(loop.node.stage.goals) == 1)
-    loop.graph.until(lambda: loop.see() or loop.fields)
-    level, sentence, values = loop.node.health()
-    assert loop.strength() == 0
-    assert level == b'\x01'
-    assert values['result'] == 'bad goal'
-    assert sentence.startswith('waypoint: ')
-
-
-def test_a_pose_that_is_no_number_is_not_acted_on(ros: Any) -> None:
-    loop = Loop(ros, controller='waypoint')
-    loop.go((50e-6, 0.0))
-    loop.graph.until(lambda: len(loop.node.stage.goals) == 1)
-    loop.graph.until(lambda: loop.see(x=math.nan, y=math.inf) or loop.fields)
-    assert loop.strength() == 0
-    assert loop.node.health()[2]['result'] == 'particle lost'
-
-
 def test_goals_of_particles_and_what_becomes_of_them(ros: Any) -> None:
     """For one that is gone, outside, in another frame, reached, cancelled: a clear answer each."""
     loop = Loop(ros, controller='waypoint', delay_ms=0.0)
@@ -154,7 +135,7 @@ def test_goals_of_particles_and_what_becomes_of_them(ros: Any) -> None:
     def answer(true: Any) -> dict[str, str]:
         told.clear()
         loop.graph.until(lambda: loop.keep_seeing() or (told and true(told[-1].message)))
-        return {pair.key: pair.value for pair in told[-1].values}
+        return values(told)
 
     def go(particle: int, x: float) -> None:
         goal = np.array([(particle, x, 0.0)], GOAL)
@@ -165,9 +146,8 @@ def test_goals_of_particles_and_what_becomes_of_them(ros: Any) -> None:
     go(0, 5e-3)
     assert answer(lambda said: 'outside the workspace' in said)['result'] == 'bad goal'
     go(0, 1e-6)
-    values = answer(lambda said: 'goal 1 of 1' in said)
-    assert (values['done'], values['goals_stamp_s']) == ('True', '7.5')
-    assert values['goal'] == '0'
+    reached = answer(lambda said: 'goal 1 of 1' in said)
+    assert (reached['done'], reached['goals_stamp_s'], reached['goal']) == ('True', '7.5', '0')
     elsewhere = PoseStamped()
     elsewhere.header.frame_id = 'map'
     clicked.publish(elsewhere)
@@ -176,29 +156,6 @@ def test_goals_of_particles_and_what_becomes_of_them(ros: Any) -> None:
     assert len(loop.node.stage.goals) == 1
     loop.go()
     assert answer(lambda said: 'waits for a goal' in said)['goals'] == '0'
-
-
-def test_paths_that_are_none_and_the_border(ros: Any) -> None:
-    loop = Loop(ros, controller='path_following')
-    path = loop.graph.probe.create_publisher(Path, 'path', 10)
-    loop.graph.until(lambda: path.get_subscription_count() == 1)
-
-    def follow(places: list[tuple[float, float]], said: str) -> None:
-        message = Path()
-        for x, y in places:
-            pose = PoseStamped()
-            pose.pose.position.x, pose.pose.position.y = x, y
-            message.poses.append(pose)
-        path.publish(message)
-        loop.graph.until(lambda: loop.see() or (loop.fields and said in loop.node.health()[1]))
-        assert loop.strength() == 0
-
-    follow([], 'waiting for a path')
-    follow([(0.0, 0.0)], 'two different points')
-    follow([(0.0, 0.0), (math.nan, 0.0)], 'the path leaves the workspace')
-    assert loop.set(controller='open_loop').successful
-    loop.graph.until(lambda: loop.see(x=140e-6, phi=0.0) or loop.strength() > 4.9e-3)
-    assert 'about to leave the view' in loop.node.health()[1]
 
 
 def test_naming_a_controller_again_restarts_it_after_a_fault(ros: Any, monkeypatch: Any) -> None:
@@ -249,17 +206,14 @@ def test_what_a_controller_does_not_take_is_refused_and_who_takes_it_is_named(
     takers = {'path': 'path_following', 'plan': 'experiment'}
     for k, what in enumerate(('goals', 'goal_pose', 'particle_goals', 'path', 'plan')):
         kind, topic, message = sent(what, messages.to_stamp(100.0 + k))
-        publisher = loop.graph.probe.create_publisher(kind, topic, 10)
-        loop.graph.until(lambda publisher=publisher: publisher.get_subscription_count() == 1)
+        publisher = loop.graph.talk(kind, topic)
         publisher.publish(message)
         answer = 'refused_stamp_s' if what in refused else {
             'path': 'path_stamp_s', 'plan': 'plan_stamp_s'}.get(what, 'goals_stamp_s')
-        loop.graph.until(lambda k=k, answer=answer: told and {
-            pair.key: pair.value for pair in told[-1].values}[answer] == repr(100.0 + k))
-        values = {pair.key: pair.value for pair in told[-1].values}
+        loop.graph.until(lambda k=k, answer=answer: values(told).get(answer) == repr(100.0 + k))
         if what in refused:
-            assert values['refused'].startswith(f'{controller} takes no ')
-            assert takers.get(what, 'waypoint') in values['refused']
+            assert values(told)['refused'].startswith(f'{controller} takes no ')
+            assert takers.get(what, 'waypoint') in values(told)['refused']
     assert len(loop.node.stage.goals) == (0 if 'goals' in refused else 1)
     assert len(loop.node.stage.path) == (0 if 'path' in refused else 2)
     assert (loop.node.stage.plan is None) == ('plan' in refused)
@@ -270,8 +224,7 @@ class Armed:
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        self._publisher = loop.graph.probe.create_publisher(Bool, 'coil_driver/armed', LATCHED)
-        loop.graph.until(lambda: self._publisher.get_subscription_count() == 1)
+        self._publisher = loop.graph.talk(Bool, 'coil_driver/armed', LATCHED)
 
     def is_(self, armed: bool) -> None:
         """Say so, and wait until the controller knows it."""
@@ -326,8 +279,7 @@ def test_what_was_being_carried_out_is_forgotten_when_disarmed(ros: Any) -> None
 def test_a_stick_held_while_arming_has_to_be_centred_once(ros: Any) -> None:
     loop = Loop(ros, controller='teleop', joy_timeout_ms=2000.0)
     driver = Armed(loop)
-    joy = loop.graph.probe.create_publisher(Joy, 'joy', 1)
-    loop.graph.until(lambda: joy.get_subscription_count() == 1)
+    joy = loop.graph.talk(Joy, 'joy', 1)
 
     def push(x: float) -> bool:
         joy.publish(Joy(axes=[x, 0.0]))
@@ -355,18 +307,15 @@ def test_to_cancel_is_never_refused(ros: Any) -> None:
 def test_a_goal_is_accepted_followed_and_cancelled_as_an_action_is(ros: Any) -> None:
     loop = Loop(ros, controller='waypoint', delay_ms=0.0)
     told = loop.graph.hear(DiagnosticStatus, 'controller/progress')
-
-    def values() -> dict[str, str]:
-        return {pair.key: pair.value for pair in told[-1].values} if told else {}
     loop._goals.publish(messages.poses(
         np.array([(50e-6, 0.0)]), np.zeros(1), messages.to_stamp(3.5)))
     loop.graph.until(lambda: loop.keep_seeing() or (
-        'distance_um' in values() and bool(loop.fields) and loop.strength() > 1e-3))
-    assert values()['goals_stamp_s'] == '3.5'
-    assert float(values()['distance_um']) == pytest.approx(50, abs=1)
-    assert values()['done'] == 'False'
+        'distance_um' in values(told) and bool(loop.fields) and loop.strength() > 1e-3))
+    assert values(told)['goals_stamp_s'] == '3.5'
+    assert float(values(told)['distance_um']) == pytest.approx(50, abs=1)
+    assert values(told)['done'] == 'False'
     loop.go()
-    loop.graph.until(lambda: loop.keep_seeing() or values()['goals'] == '0')
+    loop.graph.until(lambda: loop.keep_seeing() or values(told)['goals'] == '0')
     loop.graph.until(lambda: loop.keep_seeing() or loop.strength() == 0)
 
 
@@ -375,6 +324,7 @@ def test_the_list_of_controllers_tells_what_each_takes(ros: Any) -> None:
     listed = conforming('controller/list_controllers', loop.graph.call(
         Trigger, 'controller/list_controllers', Trigger.Request()).message)
     takes = {one['name']: set(one['takes']) for one in listed}
+    assert [one['name'] for one in listed if one['state'] == 'active'] == ['hold']
     assert takes['hold'] == takes['manual'] == takes['open_loop'] == set()
     assert takes['waypoint'] == {'goals', 'particle_goals'}
     assert (takes['path_following'], takes['experiment'], takes['teleop']) == (
@@ -393,43 +343,26 @@ def test_viewers_get_particles_and_goals(ros: Any) -> None:
     assert by_name['labels'].text == '0: 4.0 µm/s'
 
 
-def test_each_keeps_its_parameters(ros: Any) -> None:
-    loop = Loop(ros)
-    assert loop.set(waypoint__arrival_um=3.0).successful
-    assert not loop.set(waypoint__arrival_um=math.nan).successful
-    assert not loop.set(waypoint__arrival_um=-1.0).successful
-    assert loop.set(controller='waypoint').successful
-    assert loop.set(controller='hold').successful
-    answer = loop.set(waypoint__arrival_um=3.0)
-    assert answer.successful
-    assert loop.node.stage.manager._threads['waypoint']._parameters.arrival_um == 3.0
-
-
 def test_what_became_of_goals_is_not_said_of_the_next(ros: Any) -> None:
     """New goals are answered at once, also where no pose comes that could be acted on."""
     loop = Loop(ros, controller='waypoint', delay_ms=0.0)
     told = loop.graph.hear(DiagnosticStatus, 'controller/progress')
-
-    def values() -> dict[str, str]:
-        return {pair.key: pair.value for pair in told[-1].values} if told else {}
     loop.go((1e-6, 0.0))
-    loop.graph.until(lambda: loop.keep_seeing() or values().get('done') == 'True')
+    loop.graph.until(lambda: loop.keep_seeing() or values(told).get('done') == 'True')
     goals = messages.poses(np.array([(90e-6, 0.0)]), np.zeros(1), messages.to_stamp(8.25))
     loop._goals.publish(goals)
-    loop.graph.until(lambda: values()['goals_stamp_s'] == '8.25')
-    assert 'done' not in values()
+    loop.graph.until(lambda: values(told)['goals_stamp_s'] == '8.25')
+    assert 'done' not in values(told)
     assert 'no poses since' in told[-1].message
-    path = loop.graph.probe.create_publisher(Path, 'path', 10)
-    loop.graph.until(path.get_subscription_count)
+    path = loop.graph.talk(Path, 'path')
     path.publish(Path(header=goals.header))
-    loop.graph.until(lambda: values()['path_stamp_s'] == '8.25')
+    loop.graph.until(lambda: values(told)['path_stamp_s'] == '8.25')
 class Stick:
     """A joystick driver: says where the stick is, and when that was."""
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        self._joy = loop.graph.probe.create_publisher(Joy, 'joy', 10)
-        loop.graph.until(lambda: self._joy.get_subscription_count() == 1)
+        self._joy = loop.graph.talk(Joy, 'joy')
 
     def push(self, *axes: float, ahead: float = 0.0, stamped: bool = True) -> float:
         """The stamp [s] of what was said."""
@@ -684,18 +617,3 @@ def test_frames_that_overtake_each_other_give_the_field_no_time(ros: Any) -> Non
     newest = np.maximum.accumulate(stamps)
     assert (np.diff(strengths) <= 0.02 * np.diff(newest) + 1e-9).all()
     assert strengths[-1] > strengths[0]
-
-
-def test_the_parameter_switches_and_the_service_lists(ros: Any) -> None:
-    loop = Loop(ros)
-
-    refused = loop.set(controller='steam')
-    assert not refused.successful
-    assert "no controller 'steam'; there are: " in refused.reason
-    assert loop.set(controller='open_loop').successful
-    assert loop.node.settings.controller == 'open_loop'
-    loop.graph.until(lambda: loop.see() or (loop.fields and loop.strength() > 4.9e-3))
-    listed = loop.graph.call(Trigger, 'controller/list_controllers', Trigger.Request())
-    states = {one['name']: one['state'] for one in json.loads(listed.message)}
-    assert {name for name, state in states.items() if state == 'active'} == {'open_loop'}
-    assert {'hold', 'waypoint', 'path_following'} <= states.keys()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Vector3Stamped
 from in_process import command
-from rclpy.service import Service
 from sensor_msgs.msg import PointCloud2
 
 from microbot_ros.drive.amplifier import Zero
@@ -19,6 +17,7 @@ from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.client import rig_client
 from microbot_ros.nodes.client.graph_client import GraphClient
+from microbot_ros.session.mcap.recording import open_recording
 
 
 @pytest.fixture(autouse=True)
@@ -110,12 +109,15 @@ def test_each_command_speaks_to_the_rig_of_its_namespace(
     status, out, error = graph.microbot('goal', '1,1', *there)
     assert (status, out) == (0, "1 goal accepted by controller 'waypoint'\n")
     assert error.startswith('coil_driver: disarmed')
-    assert graph.microbot('record', '--folder', folder, *there) == (
+    assert graph.microbot('record', '--title', 'batch 7', '--folder', folder, *there) == (
         0, f'recording to {folder}\n', '')
     assert graph.microbot('arm', *there)[0] == 0
     assert graph.nodes['rig_2/coil_driver']._driver.gate.armed
     assert graph.microbot('goal', '1,1', *there)[:2] == (
         0, "1 goal accepted by controller 'waypoint'\n")
+    assert graph.microbot('record', '--stop', *there) == (0, f'recorded {folder}\n', '')
+    with open_recording(folder) as recording:
+        assert recording.metadata()['recording']['title'] == 'batch 7'
     with graph.spinning(), GraphClient(namespace='rig_2') as client:
         heard: dict[str, str] = {}
         client.watch_health(lambda node, _, sentence, __: heard.setdefault(node, sentence))
@@ -130,22 +132,6 @@ def test_each_command_speaks_to_the_rig_of_its_namespace(
             'running? There is one in --namespace /rig_2\n')
 
 
-@pytest.fixture
-def lose(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[str]]:
-    """Makes the first answer of a service go astray, as one does whose way is not known yet."""
-    deliver, lost = Service.send_response, []
-
-    def lose_first(name: str) -> list[str]:
-        def send(service: Service, *answer: Any) -> None:
-            if service.srv_name == name and name not in lost:
-                lost.append(name)
-            else:
-                deliver(service, *answer)
-        monkeypatch.setattr(Service, 'send_response', send)
-        return lost
-    return lose_first
-
-
 def test_a_controller_that_does_not_answer_is_one_and_the_reason(
         ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig_client, 'TAKE_S', 1.0)
@@ -155,25 +141,6 @@ def test_a_controller_that_does_not_answer_is_one_and_the_reason(
         1, '', 'microbot: controller did not accept the goals within 1 s: it publishes nothing; '
                'is it active?\n')
     assert len(graph.nodes['controller'].stage.goals) == 0
-
-
-def test_a_recorder_whose_answer_was_lost_has_done_it(
-        ros: Any, tmp_path: Path, lose: Callable[[str], list[str]]) -> None:
-    graph = ros({'recorder': {'recording': False}})
-    recorder = graph.add('recorder')
-    run, twice = str(tmp_path / 'run'), ('record', '--folder', str(tmp_path / 'other'))
-    lost = lose('~/record')
-    assert graph.microbot('record', '--folder', run) == (0, f'recording to {run}\n', '')
-    assert lost
-    assert recorder.health()[1] == f'recording to {run}'
-    # Without a loss the same words are a refusal.
-    assert graph.microbot(*twice) == (
-        1, '', f'microbot: recorder: already recording to {run}\n')
-    lost.clear()
-    assert graph.microbot('record', '--stop') == (0, 'the recording has ended\n', '')
-    assert lost
-    assert recorder.health()[1] == 'not recording'
-    assert graph.microbot('record', '--stop') == (1, '', 'microbot: recorder: not recording\n')
 
 
 def _driver_and_commander(ros: Any, emulator: Any) -> tuple[Any, Any]:
@@ -191,25 +158,6 @@ def _requests(driver: Any) -> list[bool]:
     driver._driver.arm = lambda epoch: asked.append(True) or arm(epoch)
     driver._driver.request_zero = lambda *why: asked.append(False) or zero(*why)
     return asked
-
-
-def test_arming_whose_answer_was_lost_is_not_asked_for_again(
-        ros: Any, emulator: Any, lose: Callable[[str], list[str]],
-        monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rig_client, 'ARM_S', (4.0,))
-    lost = lose('~/arm')
-    graph, driver = _driver_and_commander(ros, emulator)
-    asked = _requests(driver)
-    assert graph.microbot('arm') == (
-        1, '', 'microbot: coil_driver did not answer within 4 s; disarmed: '
-        'zero, confirmed by a reading\n')
-    assert lost
-    assert asked == [True, False]
-    assert not driver.health()[2]['armed']
-    emulator.end()
-    graph.until(lambda: driver.health()[0] == b'\x02')
-    assert graph.microbot('arm') == (
-        1, '', 'microbot: coil_driver: the amplifier is not connected\n')
 
 
 def test_arming_that_was_given_up_does_not_come_true_later(
@@ -231,14 +179,10 @@ def test_arming_that_was_given_up_does_not_come_true_later(
 
 
 def test_disarming_tells_what_the_driver_answered(
-        ros: Any, emulator: Any, lose: Callable[[str], list[str]],
-        monkeypatch: pytest.MonkeyPatch) -> None:
-    lost = lose('~/arm')
-    lost.append('~/arm')  # not yet
+        ros: Any, emulator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     graph, driver = _driver_and_commander(ros, emulator)
     graph.until(lambda: driver._driver.gate._measured_s > 0)
     assert graph.microbot('arm') == (0, 'armed\n', '')
-    lost.clear()  # a request to disarm is repeated
     assert graph.microbot('arm', '--off') == (
         0, 'disarmed: zero, confirmed by a reading\n', '')
     for zero, words in ((Zero.SENT, 'zero sent, not confirmed'),

@@ -231,8 +231,7 @@ def test_points_that_are_no_numbers_leave_the_rest_alone(ros: Any) -> None:
     graph = ros({'model': {}})
     node = graph.add('model')
     states = graph.hear(PointCloud2, 'model/state')
-    particles = graph.probe.create_publisher(PointCloud2, 'particles', 10)
-    graph.until(lambda: particles.get_subscription_count() == 1)
+    particles = graph.talk(PointCloud2, 'particles')
     points = np.zeros(3, PARTICLE)
     points['id'] = [1, 2, 3]
     points['x'] = [1e-6, np.nan, np.inf]
@@ -253,8 +252,7 @@ class Modelled:
         self.graph = ros({'model': parameters})
         self.node = self.graph.add('model')
         self.states = self.graph.hear(PointCloud2, 'model/state')
-        self.particles = self.graph.probe.create_publisher(PointCloud2, 'particles', 10)
-        self.graph.until(lambda: self.particles.get_subscription_count() == 1)
+        self.particles = self.graph.talk(PointCloud2, 'particles')
 
     def see(self, t: float, theta: dict[int, float], frame: str = 'workspace') -> None:
         """Particles at rest, by their identities, with these headings."""
@@ -304,8 +302,7 @@ def test_what_is_in_another_frame_is_not_taken(
     if topic == 'particles':
         model.see(1.0, {1: 0.0}, frame='camera')
     else:
-        sent = model.graph.probe.create_publisher(kind, topic, 10)
-        model.graph.until(lambda: sent.get_subscription_count() == 1)
+        sent = model.graph.talk(kind, topic)
         message = kind()
         message.header.frame_id = 'camera'
         sent.publish(message)

@@ -9,24 +9,17 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import cv2
+import films
 import numpy as np
 import pytest
 from rig_file import write_rig
 
+from bench._emulator import EmulatorProcess
 from microbot_ros.common.errors import InputError, RigError
 from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.nodes.configuration import read_rig, refuse_elsewhere
-from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 CONFIG = Path(__file__).parents[2] / 'config' / 'rig.yaml'
-
-
-@pytest.mark.parametrize('namespace', ['/', '/rig_2', '/lab/rig_2', ''])
-def test_the_rig_of_the_example_is_one_in_any_namespace(namespace: str) -> None:
-    rig = read_rig(CONFIG, namespace)
-    assert rig['coil_driver']['current_limit_A'] == 2.0
-    assert rig['controller']['max_field_mT'] == 5.0
 
 
 def test_sections_are_those_that_ros_gives_to_a_node(tmp_path: Path) -> None:
@@ -54,18 +47,14 @@ def test_a_file_that_a_namespace_would_ignore_is_refused(tmp_path: Path) -> None
 
 @pytest.mark.rig
 @pytest.mark.timeout(240)
-def test_two_rigs_are_driven_at_once(tmp_path: Path, emulator_in: Any) -> None:
+def test_two_rigs_are_driven_at_once(tmp_path: Path) -> None:
     """From one file: the field of one is twice that of the other, and one is disarmed alone."""
-    film = tmp_path / 'film'
-    film.mkdir()
-    scope = Microscope(MicroscopeSettings(), seed=3)
-    place = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6
-    for frame in range(30):
-        cv2.imwrite(str(film / f'{frame:03d}.png'),
-                    scope.render(place, np.array([0.3, 1.0, 2.0]), frame / 30))
+    film = films.film(tmp_path / 'film', 30)
     rigs = ('rig_1', 'rig_2')
     with ExitStack() as leave:
-        emulators = {rig: emulator_in(tmp_path / rig) for rig in rigs}
+        for rig in rigs:
+            (tmp_path / rig).mkdir()
+        emulators = {rig: leave.enter_context(EmulatorProcess(tmp_path / rig)) for rig in rigs}
         file = write_rig(tmp_path / 'rig.yaml', {
             '/**/camera': {'source': str(film), 'frame_rate_hz': 20.0, 'loop': True},
             '/**/tracker': {'pixel_size_um': 0.45}, '/**/model': {},

@@ -118,8 +118,7 @@ def test_a_service_begins_and_ends_recordings_with_title_and_notes(
     graph = ros({'recorder': {'recording': False, 'topics': ['goals']}})
     recorder = graph.add('recorder')
     assert recorder.health()[1] == 'not recording'
-    goals = graph.probe.create_publisher(PoseArray, 'goals', 10)
-    graph.until(lambda: goals.get_subscription_count() == 1)
+    goals = graph.talk(PoseArray, 'goals')
 
     def tell(**values: Any) -> None:
         graph.call(SetParameters, 'recorder/set_parameters', SetParameters.Request(parameters=[
@@ -147,20 +146,6 @@ def test_a_service_begins_and_ends_recordings_with_title_and_notes(
     refused = record(True)
     assert not refused.success
     assert 'expected a new or empty folder' in refused.message
-
-
-def test_the_command_begins_and_ends_a_recording(ros: Any, tmp_path: Path) -> None:
-    graph = ros({'recorder': {'recording': False}})
-    graph.add('recorder')
-
-    def record(*words: str) -> tuple[int, str, str]:
-        return graph.microbot('record', *words)
-    run = str(tmp_path / 'run')
-    assert record('--title', 'batch 7', '--folder', run) == (0, f'recording to {run}\n', '')
-    assert record('--stop') == (0, f'recorded {run}\n', '')
-    assert record('--stop') == (1, '', 'microbot: recorder: not recording\n')
-    with open_recording(run) as recording:
-        assert recording.metadata()['recording']['title'] == 'batch 7'
 
 
 @pytest.mark.parametrize(('parameters', 'expected'), [

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
+import films
 import psutil
 import pytest
 from rig_file import write_rig
@@ -20,7 +19,6 @@ from rig_file import write_rig
 from microbot_ros.common.errors import RigError
 from microbot_ros.common.real_time import LOOP, SAFETY
 from microbot_ros.nodes.client.graph_client import GraphClient
-from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
 DEAD_MAN_S = 0.4
@@ -31,14 +29,8 @@ SIGNAL_S = 0.1
 
 @pytest.fixture(scope='module')
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short film of three particles that rest: what the camera node plays in a loop."""
-    folder = tmp_path_factory.mktemp('film')
-    scope = Microscope(MicroscopeSettings(), seed=3)
-    place = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6
-    for frame in range(60):
-        picture = scope.render(place, np.array([0.3, 1.0, 2.0]), frame / 30)
-        cv2.imwrite(str(folder / f'{frame:03d}.png'), picture)
-    return folder
+    """What the camera node plays in a loop."""
+    return films.film(tmp_path_factory.mktemp('films') / 'film', 60)
 
 
 class Running:
@@ -198,41 +190,13 @@ def test_a_killed_launcher_means_zero_and_nobody_stays(
     assert not any(child.is_running() for child in children)
 
 
-def test_what_a_rig_recorded_is_answered_the_same(
-        recorded: Running, tmp_path: Path) -> None:
-    with GraphClient('test') as client:  # in the middle of frames: between two of them
-        for name in ('hold', 'open_loop'):
-            client.set('controller', controller=name)
-    recorded.process.send_signal(signal.SIGINT)
-    assert recorded.process.wait(20) == 0
-    done = subprocess.run(
-        [sys.executable, '-m', 'microbot_ros.cli', 'replay', '--check',
-         str(tmp_path / 'recording')], capture_output=True, text=True, timeout=100)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert 'all outputs are equal' in done.stdout
-
-
-UNFIT: dict[str, tuple[str, str]] = {
-    'host': ('cockpit:\n  ros__parameters:\n    host: NONSENSE\n',
-             '5: cockpit: host: expected a host name or address of this machine'),
-    'port': ('coil_driver:\n  ros__parameters:\n    port: /dev/nowhere\n',
-             '5: coil_driver: port: /dev/nowhere: expected a serial port'),
-    'one of two values': ('controller:\n  ros__parameters:\n    workspace_um: [1, 2, 3]\n',
-                          '5: controller: workspace_um must be left, bottom, right, top'),
-    'a long path': (f'camera:\n  ros__parameters:\n    source: /x/{"y" * 9000}\n',
-                    f'5: camera: source: /x/{"y" * 76}…: '),
-}
-
-
-@pytest.mark.parametrize(('text', 'told'), UNFIT.values(), ids=UNFIT)
-def test_what_only_a_node_can_find_wrong_is_one_line_that_says_where(
-        tmp_path: Path, text: str, told: str) -> None:
-    config = tmp_path / 'rig.yaml'
-    config.write_text(f'model:\n  ros__parameters: {{}}\n{text}')
+def test_what_only_a_node_can_find_wrong_is_one_line_that_says_where(tmp_path: Path) -> None:
+    config = write_rig(tmp_path / 'rig.yaml', {
+        'model': {}, 'camera': {'source': f'/x/{"y" * 9000}'}})
     process = subprocess.Popen([sys.executable, '-m', 'microbot_ros.cli', 'run', '--config',
                                 str(config)], stderr=subprocess.PIPE, text=True)
     _, said = process.communicate(timeout=120)
     *before, line = said.splitlines()
-    assert line.startswith(f'microbot: {config}:{told}')
+    assert line.startswith(f'microbot: {config}:3: camera: source: /x/{"y" * 76}…: ')
     assert all('compiling code for the first time' in note for note in before), said
     assert process.returncode == 2
