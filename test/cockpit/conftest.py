@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import threading
 import time
@@ -136,6 +137,45 @@ class Page:
             self.until(lambda message: message.get(part) == value)
 
 
+def get(port: int, path: str = '/', method: str = 'GET', **headers: str) -> Any:
+    """The answer to a request, its content read."""
+    connection = http.client.HTTPConnection('127.0.0.1', port, timeout=60)
+    own = {name.replace('_', '-'): value for name, value in headers.items()}
+    connection.putrequest(method, path, skip_host='Host' in own)
+    for name, value in own.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    answer = connection.getresponse()
+    answer.content = answer.read()  # type: ignore[attr-defined]
+    connection.close()
+    return answer
+
+
+@contextmanager
+def page_at(address: str) -> Iterator[Page]:
+    """A page that has come to a cockpit: `host:port`, or what a browser opens."""
+    place = address.removeprefix('http://').rstrip('/')
+    with connect(f'ws://{place}/socket', origin=f'http://{place}', compression=None,
+                 close_timeout=0.2) as socket:  # type: ignore[arg-type]
+        yield Page(socket)
+
+
+@contextmanager
+def page_in_control(address: str) -> Iterator[Page]:
+    """A page that has control, and says `seen` to all pictures."""
+    with page_at(address) as page:
+        read = page.read
+
+        def seeing(seconds: float) -> dict[str, Any] | None:
+            message = read(seconds)
+            if message is None:
+                page.say('seen', stamp=str(page.pictures[-1]))
+            return message
+        page.read = seeing  # type: ignore[method-assign]
+        page.ask('take_control')
+        yield page
+
+
 class Served:
     """A server of a `RememberingRig`, `host` and its free port; `open_to_all`, without a token.
 
@@ -159,13 +199,9 @@ class Served:
         return int(self.server.address.partition('://')[2].partition('/')[0].rpartition(':')[2])
 
     @contextmanager
-    def page(self, **options: Any) -> Iterator[Page]:
+    def page(self) -> Iterator[Page]:
         """A page that has come and been greeted."""
-        address = f'127.0.0.1:{self.port}'
-        given = {'origin': f'http://{address}', 'compression': None,
-                 'close_timeout': 0.2, **options}
-        with connect(f'ws://{address}/socket', **given) as socket:
-            page = Page(socket)
+        with page_at(f'127.0.0.1:{self.port}') as page:
             assert page.read(10.0)['kind'] == 'hello'  # type: ignore[index]
             yield page
 

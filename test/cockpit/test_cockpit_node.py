@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,9 @@ import pytest
 
 pytest.importorskip('uvicorn', reason='the extra `cockpit` is not installed')
 
-from cockpit.conftest import Page
+from cockpit.conftest import Page, page_in_control
 from geometry_msgs.msg import Vector3Stamped
 from in_process import Ros
-from websockets.sync.client import connect
 
 from bench._emulator import Served
 from microbot_ros.nodes.client.graph_client import GraphClient
@@ -45,7 +43,7 @@ class Rig:
     def address(self) -> str:
         """Where the page is served."""
         address: str = self.graph.nodes['cockpit']._server.address
-        return address.removeprefix('http://').rstrip('/')
+        return address
 
     def end(self) -> None:
         """Leave nothing running."""
@@ -64,28 +62,10 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
         made.end()
 
 
-@contextmanager
-def page_of(rig: Rig) -> Iterator[Page]:
-    """A page that has control, and says `seen` to all pictures."""
-    with connect(f'ws://{rig.address}/socket', origin=f'http://{rig.address}', compression=None,
-                 close_timeout=0.2) as socket:
-        page = Page(socket)
-        read = page.read
-
-        def seeing(seconds: float) -> Any:
-            message = read(seconds)
-            if message is None:
-                page.say('seen', stamp=str(page.pictures[-1]))
-            return message
-        page.read = seeing  # type: ignore[method-assign]
-        page.ask('take_control')
-        yield page
-
-
 @pytest.fixture
 def page(rig: Rig) -> Iterator[Page]:
     """A page in control of a rig that ends disarmed and at rest."""
-    with page_of(rig) as made:
+    with page_in_control(rig.address) as made:
         made.until(lambda message: message['kind'] == 'particles' and message['particles'], 60.0)
         yield made
         made.ask('switch_controller', name='hold')
@@ -201,7 +181,7 @@ def test_stop_ends_what_flows(page: Page, rig: Rig) -> None:
 
 def test_a_viewer_may_stop(page: Page, rig: Rig) -> None:
     steered(page, rig, 1.0, 0.0)
-    with page_of(rig) as viewer:
+    with page_in_control(rig.address) as viewer:
         page.ask('take_control')
         assert viewer.ask('stop')['ok']
         assert rig.emulator.zero
@@ -222,7 +202,7 @@ def test_a_stick_steers_and_letting_go_ends_it(page: Page, rig: Rig) -> None:
 
 
 def test_a_page_that_is_gone_steers_no_more(page: Page, rig: Rig) -> None:
-    with page_of(rig) as other:
+    with page_in_control(rig.address) as other:
         steered(other, rig, 0.0, 1.0)
     until(page, lambda: rig.emulator.zero)
     page.ask('take_control')
@@ -248,7 +228,7 @@ def test_what_is_noted_is_in_the_recording(page: Page, rig: Rig) -> None:
     assert page.ask('record', on=True, title='another')['ok'] is False
     assert page.ask('note', text='5 % peroxide')['ok']
     assert page.ask('note', text='bubbles')['ok']
-    with page_of(rig) as again:  # a reload
+    with page_in_control(rig.address) as again:  # a reload
         told = again.until(lambda message: (message.get('recording') or {}).get('on'))
         assert told['recording']['title'] == 'batch 7'
         assert told['recording']['seconds'] > 0

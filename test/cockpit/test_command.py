@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import http.client
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -13,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cockpit.conftest import Page
-from websockets.sync.client import connect
+from cockpit.conftest import get, page_at
 
 from microbot_ros.cockpit.address import WORDS
 
@@ -48,10 +45,7 @@ def address_of(command: Any) -> str:
 
 def test_without_a_rig_the_page_says_so_and_the_command_ends_on_a_signal(microbot: Any) -> None:
     command = microbot('cockpit', '--port', '0', '--no-token', '--namespace', 'rig_2')
-    place = address_of(command).removeprefix('http://').rstrip('/')
-    with connect(f'ws://{place}/socket', origin=f'http://{place}', compression=None,
-                 close_timeout=0.2) as sock:
-        page = Page(sock)
+    with page_at(address_of(command)) as page:
         page.becomes('rig', 'unknown')
         assert page.known['controller'] is None
         assert page.known['recording'] is None
@@ -72,26 +66,12 @@ def test_without_a_rig_the_page_says_so_and_the_command_ends_on_a_signal(microbo
         assert time.monotonic() - begin < 8.0
 
 
-def test_a_port_that_is_taken_is_one_line(microbot: Any) -> None:
-    with socket.create_server(('127.0.0.1', 0)) as other:
-        port = other.getsockname()[1]
-        command = microbot('cockpit', '--port', str(port))
-        said, _ = command.communicate(timeout=60)
-    assert command.returncode == 2
-    assert f'cannot listen on 127.0.0.1, port {port}' in said.strip().splitlines()[-1]
-    assert 'Traceback' not in said
-
-
-@pytest.mark.parametrize('host', ['127.0.0.1', '0.0.0.0'])
-def test_the_address_holds_a_token(microbot: Any, host: str) -> None:
-    address = address_of(microbot('cockpit', '--port', '0', '--host', host))
+def test_the_address_holds_a_token(microbot: Any) -> None:
+    address = address_of(microbot('cockpit', '--port', '0', '--host', '0.0.0.0'))
     place, _, token = address.removeprefix('http://').partition('/?token=')
     port = int(place.rpartition(':')[2])
     for path, status in (('/', 403), (f'/?token={token}', 303)):
-        connection = http.client.HTTPConnection('127.0.0.1', port, timeout=10)
-        connection.request('GET', path)
-        assert connection.getresponse().status == status
-        connection.close()
+        assert get(port, path).status == status
 
 
 def test_run_has_it_beside_its_nodes(microbot: Any, tmp_path: Path) -> None:
@@ -99,10 +79,7 @@ def test_run_has_it_beside_its_nodes(microbot: Any, tmp_path: Path) -> None:
         '/**/recorder:\n  ros__parameters: {recording: false}\n'
         '/**/cockpit:\n  ros__parameters: {port: 0, token: false}\n')
     command = microbot('run', '--config', 'rig.yaml', '--cockpit')
-    place = address_of(command).removeprefix('http://').rstrip('/')
-    with connect(f'ws://{place}/socket', origin=f'http://{place}', compression=None,
-                 close_timeout=0.2) as sock:
-        page = Page(sock)
+    with page_at(address_of(command)) as page:
         page.becomes('recording', {'on': False, 'seconds': 0.0, 'lost': 0, 'title': ''})
         assert page.ask('record', on=True, title='x')['ok']
         assert page.ask('note', text='y')['ok']

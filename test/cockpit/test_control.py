@@ -10,19 +10,6 @@ from microbot_ros.cockpit.control import Control
 from microbot_ros.cockpit.steering import Steering
 
 
-def test_the_first_page_has_control_and_others_look() -> None:
-    control = Control()
-    control.join(1)
-    control.join(2)
-    assert (control.holder, control.pages) == (1, 2)
-    control.take(2)
-    assert control.holder == 2
-    control.leave(1)
-    assert (control.holder, control.pages) == (2, 1)
-    control.leave(2)
-    assert (control.holder, control.pages) == (None, 0)
-
-
 @given(st.lists(st.tuples(st.sampled_from(['join', 'leave', 'take']), st.integers(1, 4))))
 def test_whoever_has_control_is_there(steps: list[tuple[str, int]]) -> None:
     control, there = Control(), set()

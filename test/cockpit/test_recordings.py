@@ -15,6 +15,7 @@ pytest.importorskip('av', reason='the extra `video` is not installed')
 pytest.importorskip('mcap', reason='the extra `mcap` is not installed')
 
 from click.testing import CliRunner
+from cockpit.conftest import get
 from session.recordings import IMAGE, encode, header, image, record, small_session
 
 from microbot_ros import cli
@@ -127,21 +128,22 @@ def test_without_frames_the_particles_are_drawn_and_without_both_nothing(
 
 
 def test_pages_get_list_and_files(folder: Path, served: Any) -> None:
-    assert {one['name'] for one in json.loads(_get(served, '/recordings')[1])} == {
+    assert {one['name'] for one in json.loads(get(served.port, '/recordings').content)} == {
         'batch', 'tracks only', 'running'}
-    status, content = _get(served, '/recordings/batch/batch_0.mcap')
-    assert (status, content) == (200, (folder / 'batch' / 'batch_0.mcap').read_bytes())
+    answer = get(served.port, '/recordings/batch/batch_0.mcap')
+    assert answer.status == 200
+    assert answer.content == (folder / 'batch' / 'batch_0.mcap').read_bytes()
     for path in ('/recordings/nothing/film.mp4', '/recordings/%2e%2e/film.mp4',
                  '/recordings/batch/metadata.yaml', '/recordings/%2e%2e/x.mcap'):
-        assert _get(served, path)[0] == 404, path
+        assert get(served.port, path).status == 404, path
 
 
 @pytest.mark.rig  # a process of the lowest priority draws it: beside others it may take minutes
 @pytest.mark.usefixtures('folder')
 def test_pages_get_a_film(served: Any, tmp_path: Path) -> None:
-    status, content = _get(served, '/recordings/batch/film.mp4')
-    (tmp_path / 'got.mp4').write_bytes(content)
-    assert (status, len(_film(tmp_path / 'got.mp4'))) == (200, FRAMES)
+    answer = get(served.port, '/recordings/batch/film.mp4')
+    (tmp_path / 'got.mp4').write_bytes(answer.content)
+    assert (answer.status, len(_film(tmp_path / 'got.mp4'))) == (200, FRAMES)
 
 
 def test_an_answer_that_takes_long_is_not_cut(
@@ -155,15 +157,6 @@ def test_an_answer_that_takes_long_is_not_cut(
     time.sleep(0.6)
     assert len(answer.read()) == 30_000_000
     connection.close()
-
-
-def _get(served: Any, path: str) -> tuple[int, bytes]:
-    connection = http.client.HTTPConnection('127.0.0.1', served.port, timeout=60)
-    connection.request('GET', path)
-    answer = connection.getresponse()
-    content = answer.read()
-    connection.close()
-    return answer.status, content
 
 
 @pytest.mark.parametrize('parameters', [

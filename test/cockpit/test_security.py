@@ -9,6 +9,7 @@ from contextlib import ExitStack, suppress
 from typing import Any
 
 import pytest
+from cockpit.conftest import get
 from hypothesis import given
 from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -18,20 +19,6 @@ from microbot_ros.cockpit.connections import MOST, BriefConnection
 from microbot_ros.cockpit.security import Gatekeeper, is_loopback
 from microbot_ros.cockpit.server import Server
 from microbot_ros.common.errors import InputError
-
-
-def get(port: int, path: str = '/', method: str = 'GET', **headers: str) -> Any:
-    """The answer to a request, its content read."""
-    connection = http.client.HTTPConnection('127.0.0.1', port, timeout=10)
-    own = {name.replace('_', '-'): value for name, value in headers.items()}
-    connection.putrequest(method, path, skip_host='Host' in own)
-    for name, value in own.items():
-        connection.putheader(name, value)
-    connection.endheaders()
-    answer = connection.getresponse()
-    answer.content = answer.read()  # type: ignore[attr-defined]
-    connection.close()
-    return answer
 
 
 def upgrade(port: int, host: str, origins: list[str], cookie: str = '') -> int:

@@ -7,14 +7,13 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
+from cockpit.conftest import page_in_control
 from cockpit.virtual import VirtualRig
-from websockets.sync.client import connect
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
 
@@ -27,38 +26,10 @@ def virtual(tmp_path_factory: pytest.TempPathFactory) -> Iterator[VirtualRig]:
         yield made
 
 
-@contextmanager
-def page_of(virtual: VirtualRig) -> Iterator[Any]:
-    """A page of the cockpit, with control."""
-    from cockpit.conftest import Page
-
-    address = virtual.address.removeprefix('http://').rstrip('/')
-    with connect(f'ws://{address}/socket', origin=f'http://{address}', compression=None,
-                 close_timeout=0.2) as socket:
-        made = SeeingPage(socket, Page)
-        made.page.ask('take_control')
-        yield made.page
-
-
-class SeeingPage:
-    """Says `seen` to all that it is shown."""
-
-    def __init__(self, socket: Any, page: Any) -> None:
-        self.page = page(socket)
-        read = self.page.read
-
-        def seeing(seconds: float) -> Any:
-            message = read(seconds)
-            if message is None:
-                self.page.say('seen', stamp=str(self.page.pictures[-1]))
-            return message
-        self.page.read = seeing
-
-
 @pytest.fixture
 def page(virtual: VirtualRig) -> Iterator[Any]:
     """A page in control of a rig that ends disarmed and at rest."""
-    with page_of(virtual) as made:
+    with page_in_control(virtual.address) as made:
         made.until(lambda message: message['kind'] == 'particles' and message['particles'], 60.0)
         yield made
 
@@ -100,7 +71,7 @@ def test_the_death_of_the_cockpit_harms_nothing(page: Any, virtual: VirtualRig) 
 def test_a_cockpit_that_has_just_started_finds_whom_it_asks(virtual: VirtualRig) -> None:
     virtual.signal('cockpit', signal.SIGKILL)
     virtual.restart_cockpit()
-    with page_of(virtual) as page:
+    with page_in_control(virtual.address) as page:
         answer = page.ask('switch_controller', name='hold')
     assert answer['ok'], answer
 
@@ -118,7 +89,7 @@ def test_discovery_ends_with_the_cockpit(page: Any, virtual: VirtualRig) -> None
     child.wait(30.0)
     virtual.until(lambda: virtual.zero, 5.0)
     virtual.restart_cockpit()
-    with page_of(virtual) as again:
+    with page_in_control(virtual.address) as again:
         again.until(lambda message: (message.get('controller') or {}).get('name') == 'hold')
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
 
-PIXEL_UM, WIDTH, HEIGHT = 0.45, 640, 480
+PIXEL_UM, WIDTH = 0.45, 640
 """Of the virtual microscope."""
 SIZES = [(1440, 900), (360, 640), (844, 390), (390, 844), (768, 1024), (1024, 768), (2560, 1440)]
 """Windows in which the stories are played: the first two, side by side and upright, always; the
@@ -20,6 +21,16 @@ def sizes(always: int = ALWAYS) -> list[Any]:
     return [pytest.param(one, id=f'{one[0]}x{one[1]}',
                          marks=[pytest.mark.soak] if number >= always else [])
             for number, one in enumerate(SIZES)]
+
+
+@contextmanager
+def opened(browser: Any, address: str, size: tuple[int, int] = SIZES[0]) -> Iterator[Any]:
+    """A page before the virtual rig at an `address`, in a window of its own."""
+    with browser.new_context(viewport={'width': size[0], 'height': size[1]}) as context:
+        page = context.new_page()
+        page.goto(address)
+        page.wait_for_selector('#overlay .rings g', state='attached', timeout=60_000)
+        yield page
 
 
 def take_control(page: Any) -> Any:

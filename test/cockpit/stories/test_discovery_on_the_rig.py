@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from cockpit.virtual import VirtualRig
-from hands import arm, part, take_control
+from hands import arm, opened, part, take_control
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
 
@@ -23,10 +23,7 @@ def test_a_hidden_lag_is_found(browser: Any, tmp_path: Path) -> None:
             # Slow enough that the search has processors left: the lag is of many frames even so.
             virtual_rig={'effect': 'alignment_lag', 'effect_parameters': ['tau_s=0.4'],
                          'frame_rate_hz': 10.0},
-    ) as rig, browser.new_context(viewport={'width': 1440, 'height': 900}) as context:
-        page = context.new_page()
-        page.goto(rig.address)
-        page.wait_for_selector('#overlay .rings g', state='attached', timeout=60_000)
+    ) as rig, opened(browser, rig.address) as page:
         arm(take_control(page))
         part(page, 'discovery')
         page.fill('#minutes', '2')

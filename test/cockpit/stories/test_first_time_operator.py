@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from cockpit.virtual import VirtualRig
-from hands import arm, draw, mode, on_page, part, take_control
+from hands import arm, draw, mode, on_page, opened, part, take_control
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(300)]
 MOST = 3
@@ -27,11 +27,8 @@ _COUNT = """() => {
 def test_eight_tasks_take_three_clicks_each(browser: Any, tmp_path: Path) -> None:
     with VirtualRig(tmp_path, coil_driver={
             'command_timeout_ms': 500.0, 'max_command_age_ms': 500.0},
-            controller={'controller': 'hold', 'deadline_ms': 100.0}) as rig, browser.new_context(
-            viewport={'width': 1440, 'height': 900}) as context:
-        page = context.new_page()
-        page.goto(rig.address)
-        page.wait_for_selector('#overlay .rings g', state='attached', timeout=60_000)
+            controller={'controller': 'hold', 'deadline_ms': 100.0}) as rig, opened(
+            browser, rig.address) as page:
         take_control(page)
         page.evaluate(_COUNT)
         presses: dict[str, int] = {}

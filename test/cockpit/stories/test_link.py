@@ -68,14 +68,6 @@ def test_a_lost_node_greys_the_page_and_nothing_is_sent_later(page, rig, server,
     assert [verb for _, verb, _ in rig.heard[heard:]] == []
 
 
-def test_a_node_that_stands_still_is_a_lost_one(page, server) -> None:
-    server._loop.call_soon_threadsafe(time.sleep, 2.0)
-    began = time.monotonic()
-    page.wait_for_selector('body.lost')
-    assert time.monotonic() - began < 1
-    page.wait_for_selector(_LINKED, timeout=6000)
-
-
 def test_a_reload_keeps_what_the_rig_keeps(page, rig) -> None:
     part(page, 'recording')
     page.fill('#title', 'two rollers')

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -15,19 +14,17 @@ import psutil
 import pytest
 from cockpit.virtual import VirtualRig
 from hands import (
-    HEIGHT,
     PIXEL_UM,
-    WIDTH,
     arm,
     draw,
     mode,
     on_page,
+    opened,
     part,
     sizes,
     switch,
     take_control,
 )
-from lines import farthest
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
 STOP_S, VANISHED_S, TOPIC_S = 0.1, 0.4, 0.2
@@ -84,19 +81,8 @@ def _at_rest(virtual: VirtualRig) -> Iterator[None]:
 @pytest.fixture
 def visit(browser: Any, virtual: VirtualRig, size: tuple[int, int]) -> Iterator[Any]:
     """Opens a page in a window of its own, and gives it control."""
-    contexts = []
-
-    def one() -> Any:
-        contexts.append(browser.new_context(
-            viewport={'width': size[0], 'height': size[1]}))
-        page = contexts[-1].new_page()
-        page.goto(virtual.address)
-        page.wait_for_selector('#overlay .rings g', state='attached', timeout=60_000)
-        return take_control(page)
-
-    yield one
-    for context in contexts:
-        context.close()
+    with ExitStack() as pages:
+        yield lambda: take_control(pages.enter_context(opened(browser, virtual.address, size)))
 
 
 @pytest.fixture
@@ -148,33 +134,6 @@ def _measured(text: str) -> tuple[float, float]:
     return float(value), float(rest.rstrip('°').split()[0])
 
 
-def test_rings_are_where_the_tracker_has_particles_at_the_stamp_shown(page, listener) -> None:
-    from sensor_msgs.msg import PointCloud2
-
-    from microbot_ros.loop.points import PARTICLE
-    from microbot_ros.nodes.base import messages
-
-    heard = {}
-
-    def hear(message: Any) -> None:
-        stamp = message.header.stamp
-        found = messages.points(message, PARTICLE)
-        heard[stamp.sec * 10**9 + stamp.nanosec] = {
-            int(one['id']): (319.5 + one['x'] * 1e6 / PIXEL_UM, 239.5 - one['y'] * 1e6 / PIXEL_UM)
-            for one in found}
-
-    listener.node.create_subscription(PointCloud2, 'particles', hear, 10)
-    compared = 0
-    for _ in range(40):
-        listener.spin(0.05)
-        stamp, rings = page.evaluate(_RINGS)
-        listener.spin(0.05)
-        for number, x, y in rings if int(stamp) in heard else []:
-            assert math.dist((x, y), heard[int(stamp)][number]) < 2
-            compared += 1
-    assert compared > 20
-
-
 def test_a_goal_arrives_in_time_and_is_marked_once_it_was_taken(page, listener) -> None:
     from geometry_msgs.msg import PoseArray
 
@@ -200,32 +159,6 @@ def test_a_goal_arrives_in_time_and_is_marked_once_it_was_taken(page, listener) 
     page.wait_for_selector('#overlay .goals:not(:has(g))', state='attached')
 
 
-def _um(x_px: float, y_px: float) -> tuple[float, float]:
-    return (x_px - (WIDTH - 1) / 2) * PIXEL_UM, ((HEIGHT - 1) / 2 - y_px) * PIXEL_UM
-
-
-def test_a_path_arrives_as_it_was_drawn_and_is_shown_once_it_was_taken(page, listener) -> None:
-    from nav_msgs.msg import Path
-
-    heard = []
-    listener.node.create_subscription(Path, 'path', lambda message: heard.append(
-        [(p.pose.position.x * 1e6, p.pose.position.y * 1e6) for p in message.poses]), 10)
-    listener.spin(1.0)
-    switch(page, 'path_following')
-    mode(page, 'path')
-    angles = np.linspace(0, 1.5 * math.pi, 40)
-    drawn = np.column_stack([320 + 120 * np.cos(angles), 240 + 120 * np.sin(angles)])
-    draw(page, [on_page(page, *place) for place in drawn])
-    assert listener.until(lambda: heard, 5.0)
-    expected = np.array([_um(*place) for place in drawn])
-    assert farthest(np.array(heard[0]), expected) < 2 * PIXEL_UM
-    assert farthest(expected, np.array(heard[0])) < 2 * PIXEL_UM
-    page.wait_for_selector('#overlay .path polyline[points*=" "]', state='attached')
-    mode(page, 'goal')
-    page.click('#clear-goals')
-    page.wait_for_selector('#overlay .path polyline[points=""]', state='attached')
-
-
 def test_a_goal_takes_the_place_of_a_path_and_a_path_that_of_a_goal(page) -> None:
     """And while the rig is disarmed each says that nothing moves yet."""
     for name in ('path_following', 'waypoint', 'path_following'):
@@ -242,43 +175,6 @@ def test_a_goal_takes_the_place_of_a_path_and_a_path_that_of_a_goal(page) -> Non
             page.wait_for_selector('#messages li.ok:has-text("not armed: nothing moves")')
             page.wait_for_selector('#overlay .path polyline[points*=" "]', state='attached')
             page.wait_for_selector('#overlay .goals:not(:has(g))', state='attached')
-
-
-def test_goals_from_before_the_page_are_shown(visit, listener) -> None:
-    """Whoever sent them, and however."""
-    from geometry_msgs.msg import PoseStamped
-
-    from microbot_ros.nodes.base import messages
-
-    listener.set('controller', controller='waypoint')
-    message = PoseStamped()
-    message.pose.position.x, message.pose.position.y = 20e-6, -10e-6
-    message.header.stamp = listener.node.get_clock().now().to_msg()
-    out = listener.node.create_publisher(PoseStamped, 'goal_pose', 10)
-    heard: list[dict[str, str]] = []
-    listener.watch_progress(lambda *said: heard.append(said[2]))
-    sent = messages.to_seconds(message.header.stamp)
-    for _ in range(50):  # the first subscriber that is matched may be a recorder
-        out.publish(message)
-        if listener.until(lambda: any(
-                float(one.get('goals_stamp_s', 'nan')) == sent for one in heard), 0.2):
-            break
-    else:
-        raise AssertionError('the controller did not accept the goal')
-    page = visit()
-    page.wait_for_selector('#overlay .goals g', state='attached')
-    x, y = page.evaluate(_PLACE_OF, '#overlay .goals g')
-    assert math.dist((x, y), (319.5 + 20 / PIXEL_UM, 239.5 + 10 / PIXEL_UM)) < 1
-    mode(page, 'goal')
-    page.click('#clear-goals')
-    page.wait_for_selector('#overlay .goals:not(:has(g))', state='attached')
-
-
-_PLACE_OF = """(selector) => {
-  const scale = document.querySelector('#frame').getBoundingClientRect().width / 640;
-  const { e, f } = document.querySelector(selector).getCTM();
-  return [e / scale - 0.5, f / scale - 0.5];
-}"""
 
 
 @pytest.fixture
@@ -461,38 +357,3 @@ def test_a_page_that_vanishes_steers_no_more(page, virtual, way) -> None:
             renderer.resume()
     time.sleep(1.0)
     assert virtual.zero  # also once it has woken up, the key still down
-
-
-def test_notes_are_in_the_recording(page, virtual) -> None:
-    part(page, 'recording')
-    page.fill('#title', 'batch 7')
-    page.click('#record')
-    page.wait_for_selector('#recording-now:has-text("“batch 7”")')
-    page.fill('#note', 'a bubble at the left')
-    page.press('#note', 'Enter')
-    page.wait_for_function('() => document.querySelector("#note").value === ""')
-    page.reload()
-    part(page, 'recording')
-    page.wait_for_selector('#recording-now:has-text("“batch 7”")')
-    part(page, 'drive')
-    take_control(page)
-    part(page, 'recording')
-    page.click('#record')
-    page.wait_for_selector('#recording-now:has-text("Not recording")')
-    said = subprocess.run([sys.executable, '-m', 'microbot_ros.cli', 'info',
-                           str(virtual.folder / 'recording')], capture_output=True, text=True)
-    assert 'a bubble at the left' in said.stdout
-    assert 'batch 7' in said.stdout
-
-
-def test_a_refused_swap_leaves_the_old_one_and_says_why(page) -> None:
-    switch(page, 'teleop')
-    arm(page)
-    page.locator('.parameter:has(label[title="teleop.particle"]) input').fill('77')
-    page.locator('.parameter:has(label[title="teleop.particle"]) button').click()
-    page.wait_for_selector('#messages li:has-text("Set teleop.particle")')
-    switch(page, 'hold')
-    page.select_option('#controller', 'teleop')
-    page.click('#controller-form button')
-    page.wait_for_selector('#messages li.refused:has-text("77")')
-    assert 'At work: hold.' in page.inner_text('#controller-now')
