@@ -132,6 +132,22 @@ def test_noise_levels_come_out_within_their_spread(sigma, exposure):
     assert 0.6 < np.std(deviations) < 1.5
 
 
+def by_covariance(z, step):
+    """D and σ by the covariance of neighbours (Vestergaard, Blainey and Flyvbjerg 2014)."""
+    d = np.diff(z, axis=0)
+    beside = np.mean((d[1:] * d[:-1].conj()).real) / 2
+    return (np.mean(np.abs(d) ** 2) / 2 + 2 * beside) / (2 * step), np.sqrt(-beside)
+
+
+def test_levels_are_those_of_the_covariance_estimator():
+    rng = np.random.default_rng(4)
+    z = diffuse(rng, 4000, 2, 0.05, 1e-13, 1e-7)
+    found = fitted(z, np.arange(4000) * 0.05).noise()
+    diffusion, localisation = by_covariance(z, 0.05)
+    assert found.diffusion == pytest.approx(diffusion, rel=0.05)
+    assert found.localisation == pytest.approx(localisation, rel=0.02)
+
+
 def test_levels_of_many_short_tracks_are_not_biased():
     """As many speeds as 15 frames each allow: the restricted likelihood pays for them."""
     rng = np.random.default_rng(11)
@@ -146,6 +162,19 @@ def test_levels_of_many_short_tracks_are_not_biased():
     assert np.mean(np.abs(diffusion - 1e-13) < 1.96 * std) > 0.88
     off = [abs(n.localisation - 1e-7) < 1.96 * n.localisation_std for n in found]
     assert np.mean(off) > 0.88
+
+
+def test_gains_are_generalised_least_squares():
+    rng = np.random.default_rng(5)
+    times = np.cumsum(rng.choice([0.05, 0.1], 60))
+    noise = Noise(1e-13, 1e-7)
+    path = np.cumsum(np.exp(1j * rng.uniform(-3, 3, 60))) * 0.05
+    z = diffuse(rng, 60, 1, 0.05, 1e-13, 1e-7) + 4e-6j * path[:, None]
+    fit = under(noise.ratio, z, times, path)
+    inverse = np.linalg.inv(dense_covariance(times, noise))
+    step, drive = np.diff(z[:, 0]), np.diff(path)
+    expected = (np.conj(drive) @ inverse @ step) / (np.conj(drive) @ inverse @ drive)
+    assert fit.velocity_phasor[0] == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize('sigma', [2e-9, 0.1e-6, 3e-6])

@@ -10,6 +10,39 @@ from microbot_ros.conformance import plain
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.effects.velocity.incomplete_alignment import langevin_function
 
+# The public names, as the interface states them.
+PUBLIC = {
+    'uniform_drift': ('wx_um_s', 'wy_um_s'),
+    'linear_flow': ('gxx_per_s', 'gxy_per_s', 'gyx_per_s', 'gyy_per_s'),
+    'alignment_lag': ('tau_s',),
+    'background_field': ('bx_mT', 'by_mT'),
+    'coil_gain_mismatch': ('gain_ratio',),
+    'coil_misalignment': ('skew_rad',),
+    'speed_decay': ('tau_s',),
+    'command_delay': ('delay_s',),
+    'heading_slip': ('rate_rad_s',),
+    'dipole_interaction': ('strength_um5_s',),
+    'hydrodynamic_slowdown': ('length_um',),
+    'hot_spot': ('x_um', 'y_um', 'speed_um_s', 'width_um'),
+    'periodic_drift': ('amplitude_um_s', 'frequency_hz'),
+    'amplifier_deadband': ('deadband_mT',),
+    'pixel_anisotropy': ('aspect',),
+    'gradient_force': ('rate_per_s_mT',),
+    'coil_pull': ('rate_um_s_mT',),
+    'incomplete_alignment': ('field_scale_mT',),
+    'drive_response': (),
+}
+
+
+def test_the_library_is_the_public_one():
+    assert set(EFFECTS) == set(PUBLIC)
+    for name, expected in PUBLIC.items():
+        parameters = EFFECTS[name].parameters()
+        assert tuple(p.name for p in parameters)[:len(expected)] == expected
+        if expected:  # what the interface does not list need not be given
+            more = {p.field for p in parameters[len(expected):]}
+            assert set(EFFECTS[name].defaults()) == more
+
 
 @pytest.mark.parametrize('effect', EFFECTS.values(), ids=EFFECTS)
 def test_parameters_are_in_si_in_files_and_fits_and_lookalikes_name_each_other(effect):

@@ -11,8 +11,10 @@ from scipy.integrate import fixed_quad, solve_ivp
 from microbot_ros.common.records import Commands
 from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
 from microbot_ros.model.effects.heading.heading_slip import HeadingSlip
+from microbot_ros.model.effects.velocity.dipole_interaction import DipoleInteraction
 from microbot_ros.model.effects.velocity.hydrodynamic_slowdown import HydrodynamicSlowdown
 from microbot_ros.model.effects.velocity.linear_flow import LinearFlow
+from microbot_ros.model.effects.velocity.speed_decay import SpeedDecay
 from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
@@ -49,6 +51,17 @@ def test_frames_do_not_change_where_particles_get_to(switches, frames, tau):
     direct = simulate(model, PAPER, steer(*legs), few, ORIGIN)[-1]
     by_steps = simulate(model, PAPER, steer(*legs), many, ORIGIN)[-1]
     np.testing.assert_allclose(by_steps, direct, rtol=1e-9, atol=1e-17)
+
+
+def test_a_quarter_turn_with_lag_is_the_closed_form():
+    """tan(δ/2) decays with κ, so after a turn by 90° the lost way along the field is ln 2/κ."""
+    tau = 0.25
+    model = Model(B, effects=(AlignmentLag(tau),))
+    commands = steer((0.0, 0.0), (1.0, np.pi / 2))
+    one = ParticleParameters(np.array([0]), np.array([1.0]), np.array([0.0]))
+    x, y = simulate(model, one, commands, np.array([1.0, 60.0]), np.zeros((1, 2)))[-1, 0]
+    assert x == pytest.approx(tau * np.pi / 2, rel=1e-12)
+    assert y == pytest.approx(59.0 - tau * np.log(2), rel=1e-12)
 
 
 def test_an_exact_reversal_is_released_and_not_stuck():
@@ -104,6 +117,34 @@ def test_each_particle_turns_from_its_own_heading():
         state = solve_ivp(right_side, (begin, end), state, 'DOP853', args=(angle,),
                           rtol=1e-10, atol=1e-10).y[:, -1]
     np.testing.assert_allclose(simulated[-1].T.ravel() * 1e6, state[:6], atol=1e-7)
+
+
+def test_a_linear_flow_is_the_matrix_exponential():
+    model = Model(B, effects=(LinearFlow(0.0, -0.4, 0.4, 0.0),))
+    start = np.array([[1e-5, 0.0], [0.0, 2e-5], [1e-5, 1e-5]])
+    still = Commands(np.zeros(0), np.zeros((0, 2)))
+    times = np.linspace(0.0, 10.0, 5)
+    turned = start @ [1, 1j] * np.exp(0.4j * times[:, None])
+    simulated = simulate(model, PAPER, still, times, start) @ [1, 1j]
+    np.testing.assert_allclose(simulated, turned, rtol=1e-6)
+
+
+def test_side_by_side_dipoles_repel_as_the_fifth_root():
+    """Two alone obey dr/dt = 2S/r⁴, so r⁵ = r₀⁵ + 10 S t."""
+    strength, r0 = 1e-26, 8e-6
+    model = Model(B, effects=(DipoleInteraction(strength),))
+    pair = ParticleParameters(np.arange(2), np.zeros(2), np.zeros(2))
+    end = simulate(model, pair, steer((0.0, np.pi / 2)), np.array([0.0, 20.0]),
+                   np.array([[0.0, 0.0], [r0, 0.0]]))[-1]
+    assert end[1, 0] - end[0, 0] == pytest.approx((r0**5 + 10 * strength * 20.0) ** 0.2, rel=1e-6)
+    np.testing.assert_allclose(end.sum(axis=0), [r0, 0.0], atol=1e-18)
+
+
+def test_fuel_runs_out_as_the_integral_of_the_exponential():
+    one = ParticleParameters(np.array([0]), np.array([3e-6]), np.array([0.0]))
+    model = Model(B, effects=(SpeedDecay(2.0),))
+    x = simulate(model, one, steer((0.0, 0.0)), np.array([1.0, 10.0]), np.zeros((1, 2)))[-1, 0, 0]
+    assert x == pytest.approx(3e-6 * 2.0 * (np.exp(-0.5) - np.exp(-5.0)), rel=1e-12)
 
 
 def test_neighbours_stop_a_particle_but_do_not_push_it_back():
