@@ -36,6 +36,7 @@ class Serial:
 
 @pytest.fixture(name='serial')
 def serial_fixture():
+    """The jobs of a batch are done in this process."""
     serial = Serial()
     with mock.patch.object(batch, 'cluster', return_value=nullcontext()), \
             mock.patch.object(batch, 'introduced', return_value=''), \

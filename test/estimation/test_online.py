@@ -21,6 +21,8 @@ from microbot_ros.model.io.model_file import write_model
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.virtual_rig.record_session import Camera
 
+NOBODY = ParticleParameters(np.empty(0, int), np.empty(0), np.empty(0))
+
 
 def experiment(seed, seconds=20.0, hidden=None, commands=None, **camera):
     """A filmed session of three swimmers far apart, and their true c."""
@@ -131,13 +133,21 @@ def test_under_one_constant_command_drift_hides():
 ])
 def test_a_model_that_is_loaded_while_running_explains_from_then_on(tmp_path, hidden, effect):
     session, gain = experiment(5, hidden=hidden)
-    nobody = ParticleParameters(np.empty(0, int), np.empty(0), np.empty(0))
-    write_model(tmp_path / 'model.yaml', Model(FIELD, effects=(effect,)), nobody)
+    write_model(tmp_path / 'model.yaml', Model(FIELD, effects=(effect,)), NOBODY)
     told, plain = (replay(session, load=load)[-1] for load in (tmp_path / 'model.yaml', None))
     assert np.sqrt(np.mean(deviations(told, gain) ** 2)) < 1.8
     # What a model leaves unexplained, it takes for diffusion.
     assert told.noise.diffusion < 0.8 * plain.noise.diffusion
     assert any('does not explain' in text for text in plain.diagnosis)
+
+
+def test_a_delay_that_was_found_is_forgotten_when_a_model_has_it(tmp_path):
+    session, _ = experiment(2, 8.0, hidden=('command_delay', {'delay_s': 0.15}))
+    write_model(tmp_path / 'model.yaml', Model(FIELD, effects=(CommandDelay(0.15),)), NOBODY)
+    found = replay(session, load=tmp_path / 'model.yaml')
+    assert found[99].delay > 0.1
+    assert found[100].delay == 0
+    assert found[-1].delay < 0.02
 
 
 @pytest.mark.parametrize(('hidden', 'effect', 'aged'), [
@@ -169,8 +179,7 @@ def test_a_bad_model_file_is_refused_and_the_old_model_kept(tmp_path):
     bad.write_text('effects: {no_such_effect: {}}\n')
     with pytest.raises(InputError, match=r'model\.yaml'):
         estimator.load(bad)
-    nobody = ParticleParameters(np.empty(0, int), np.empty(0), np.empty(0))
-    write_model(bad, Model(FIELD, 'rolling'), nobody)
+    write_model(bad, Model(FIELD, 'rolling'), NOBODY)
     with pytest.raises(InputError, match='propulsion'):
         estimator.load(bad)
     assert estimator.model is before
