@@ -438,6 +438,14 @@ def test_a_sentinel_can_hold_the_lines_only_if_each_has_a_descriptor(url, watcha
         assert amplifier_class('scpi')(','.join(ports), FULL_SCALE_A).watchable is watchable
 
 
+@pytest.mark.parametrize('protocol', ['modbus', 'scpi'])
+def test_closing_switches_the_outputs_off(amplifier, device):
+    drive(amplifier, device)
+    amplifier.close()
+    enabled = getattr(device.device, '_enabled', None)
+    assert not any(enabled or [values[0] for values in device.device._values.values()])
+
+
 # Waiting ------------------------------------------------------------------------------------
 
 @every_protocol

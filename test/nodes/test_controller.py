@@ -124,6 +124,29 @@ def test_poses_that_stop_mean_one_zero_and_silence(ros: Any) -> None:
     assert len(loop.fields) == count
 
 
+@pytest.mark.parametrize('place', [(math.nan, 0.0), (math.inf, 0.0), (1.0, 1.0)])
+def test_a_goal_that_cannot_be_is_refused_with_zero(
+        ros: Any, place: tuple[float, float]) -> None:
+    loop = Loop(ros, controller='waypoint')
+    loop.go(place)
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 1)
+    loop.graph.until(lambda: loop.see() or loop.fields)
+    level, sentence, values = loop.node.health()
+    assert loop.strength() == 0
+    assert level == b'\x01'
+    assert values['result'] == 'bad goal'
+    assert sentence.startswith('waypoint: ')
+
+
+def test_a_pose_that_is_no_number_is_not_acted_on(ros: Any) -> None:
+    loop = Loop(ros, controller='waypoint')
+    loop.go((50e-6, 0.0))
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 1)
+    loop.graph.until(lambda: loop.see(x=math.nan, y=math.inf) or loop.fields)
+    assert loop.strength() == 0
+    assert loop.node.health()[2]['result'] == 'particle lost'
+
+
 def test_goals_of_particles_and_what_becomes_of_them(ros: Any) -> None:
     """For one that is gone, outside, in another frame, reached, cancelled: a clear answer each."""
     loop = Loop(ros, controller='waypoint', delay_ms=0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Vector3Stamped
 from in_process import command
+from rclpy.service import Service
 from sensor_msgs.msg import PointCloud2
 
 from microbot_ros.drive.amplifier import Zero
@@ -141,6 +143,41 @@ def test_a_controller_that_does_not_answer_is_one_and_the_reason(
         1, '', 'microbot: controller did not accept the goals within 1 s: it publishes nothing; '
                'is it active?\n')
     assert len(graph.nodes['controller'].stage.goals) == 0
+
+
+@pytest.fixture
+def lose(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[str]]:
+    """Makes the first answer of a service go astray, as one does whose way is not known yet."""
+    deliver, lost = Service.send_response, []
+
+    def lose_first(name: str) -> list[str]:
+        def send(service: Service, *answer: Any) -> None:
+            if service.srv_name == name and name not in lost:
+                lost.append(name)
+            else:
+                deliver(service, *answer)
+        monkeypatch.setattr(Service, 'send_response', send)
+        return lost
+    return lose_first
+
+
+def test_a_recorder_whose_answer_was_lost_has_done_it(
+        ros: Any, tmp_path: Path, lose: Callable[[str], list[str]]) -> None:
+    graph = ros({'recorder': {'recording': False}})
+    recorder = graph.add('recorder')
+    run, twice = str(tmp_path / 'run'), ('record', '--folder', str(tmp_path / 'other'))
+    lost = lose('~/record')
+    assert graph.microbot('record', '--folder', run) == (0, f'recording to {run}\n', '')
+    assert lost
+    assert recorder.health()[1] == f'recording to {run}'
+    # Without a loss the same words are a refusal.
+    assert graph.microbot(*twice) == (
+        1, '', f'microbot: recorder: already recording to {run}\n')
+    lost.clear()
+    assert graph.microbot('record', '--stop') == (0, 'the recording has ended\n', '')
+    assert lost
+    assert recorder.health()[1] == 'not recording'
+    assert graph.microbot('record', '--stop') == (1, '', 'microbot: recorder: not recording\n')
 
 
 def _driver_and_commander(ros: Any, emulator: Any) -> tuple[Any, Any]:
