@@ -41,7 +41,7 @@ demo: $(VENV)/.runtime
 test: compiled
 	@$(MAKE) --no-print-directory --jobs 2 lint logic
 
-# The time-out is for tests that hang: on a busy machine the longest, 15 s, took over 120 s.
+# The time-out is for tests that hang: on a busy machine one of 11 s took over 120 s.
 logic: $(VENV)/.development
 	@$(BIN)/python -m pytest -m 'not rig and not soak' --numprocesses $(WORKERS) --dist loadfile \
 		--timeout 600 $(if $(COVERAGE),$(MEASURED))

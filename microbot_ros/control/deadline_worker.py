@@ -77,7 +77,7 @@ class DeadlineWorker:
         # default of 5 ms would add to every deadline.
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
         self._patience = patience
-        self._calls: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
+        self._calls: queue.SimpleQueue[Call | None]
         self._thread: threading.Thread | None = None
         self._end: Callable[[], object] | None = None
         """Lets the thread end after its call; called when the worker is forgotten too."""

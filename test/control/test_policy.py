@@ -10,10 +10,10 @@ import onnx
 import pytest
 import yaml
 from onnx import TensorProto, helper, numpy_helper
-from workers import Unhurried
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.control.contract import Goals, ModelError, Result
+from microbot_ros.control.deadline_worker import UnhurriedWorker
 from microbot_ros.control.manager import ControllerManager
 from microbot_ros.control.plugins.hold import Hold
 from microbot_ros.control.plugins.policy import Policy, PolicyParameters
@@ -55,7 +55,7 @@ def policy(path):
 
 def manager(path):
     return ControllerManager(
-        {'policy': policy(path), 'hold': Hold()}, 'policy', worker=Unhurried)
+        {'policy': policy(path), 'hold': Hold()}, 'policy', worker=UnhurriedWorker)
 
 
 def test_it_reaches_its_goal_in_the_whole_loop(tmp_path, proportional):
@@ -135,7 +135,7 @@ def test_it_wants_as_many_goals_as_it_was_trained_with(proportional):
 
 def test_without_a_file_it_does_not_take_over():
     playing = ControllerManager({'hold': Hold(), 'policy': Policy()}, 'hold',
-                                worker=Unhurried)
+                                worker=UnhurriedWorker)
     playing.tick(controller_input())
     assert playing.switch_controller('policy').message == "policy: 'file' names no ONNX file"
     with pytest.raises(ModelError):

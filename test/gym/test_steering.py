@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import yaml
 from gymnasium.utils.env_checker import check_env
-from workers import Unhurried
 
 import microbot_ros.gym
 from microbot_ros.common.errors import InputError
 from microbot_ros.control.contract import Controller, FieldCommand, Goals, NoSolutionError
+from microbot_ros.control.deadline_worker import UnhurriedWorker
 from microbot_ros.control.manager import ControllerManager
 from microbot_ros.control.plugins.policy import Policy
 from microbot_ros.control.policy_task import PolicyTask, wanted_field
@@ -155,7 +155,7 @@ def test_what_flows_is_what_flows_in_the_loop(tmp_path, most_mT):
         gate = Gate(limits(GateParameters()))
         gate.measured((0.0,) * 4, 0.0)
         gate.arm(0.0)
-        manager = ControllerManager({'agent': agent}, 'agent', worker=Unhurried)
+        manager = ControllerManager({'agent': agent}, 'agent', worker=UnhurriedWorker)
         for k in range(20):
             action = rng.normal(0, 1, 2) if k % 7 else np.array([1.0, np.nan])
             inputs, agent.action = worlds.inputs(0), action
@@ -182,7 +182,7 @@ def test_the_controller_is_shown_what_the_environment_shows():
             return np.zeros(2)
 
     policy._policy = Recorder()
-    manager = ControllerManager({'policy': policy}, 'policy', worker=Unhurried)
+    manager = ControllerManager({'policy': policy}, 'policy', worker=UnhurriedWorker)
     shown, _ = env.reset(seed=5)
     for _ in range(40):
         assert manager.tick(env.worlds.inputs(0)).command is not None

@@ -28,7 +28,7 @@ from schemas import conforming
 from sensor_msgs.msg import MagneticField, PointCloud2
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.records import Commands, Conditions, Session, Tracks
+from microbot_ros.common.records import Commands, Conditions, Session
 from microbot_ros.control.contract import Controller, ControllerInput, FieldCommand
 from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.manager import ControllerManager
@@ -191,8 +191,7 @@ def beginning(session: Session, seconds: float) -> Session:
     seen, given = tracks.t <= end, commands.t <= end
     assert commands.frequency is not None
     return replace(
-        session, tracks=Tracks(tracks.t[seen], tracks.particle[seen], tracks.position[seen],
-                               tracks.theta[seen], tracks.sigma[seen]),
+        session, tracks=tracks.rows(seen),
         commands=Commands(commands.t[given], commands.field[given], commands.frequency[given]))
 
 
