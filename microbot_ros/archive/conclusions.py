@@ -161,12 +161,14 @@ def _scale_hint(one: Unlike) -> str:
 
 
 def _parameters(effect: Recurring, first: Mapping[str, Mapping[str, Any]]) -> list[Quantity]:
-    """Return the parameters of an effect in the sessions that have it."""
+    """Return the parameters of an effect in the sessions that have and determine them."""
     found = []
     for name, estimates in effect.estimates.items():
-        has = [path for path in effect.present if path in first]
-        value, std = np.array([estimates[path] for path in has]).reshape(-1, 2).T
-        found.append(of_sessions(f'{effect.id}.{name}', [first[path] for path in has], value, std))
+        has = [path for path in effect.present if path in first and path in estimates]
+        if has:
+            value, std = np.array([estimates[path] for path in has]).T
+            rows = [first[path] for path in has]
+            found.append(of_sessions(f'{effect.id}.{name}', rows, value, std))
     return found
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from microbot_ros.archive.random_effects import Spread, Trend, spread, trend, unlike
-from microbot_ros.common.units import symbol
+from microbot_ros.common.units import suffix, symbol
 
 NAMES = {'v_um_s': 'v', 'gain_um_s_hz': 'gain', 'phi_rad': 'φ', 'diffusion_um2_s': 'D',
          'localisation_um': 'σ'}
@@ -60,9 +60,11 @@ class Quantity:
 
     @property
     def title(self) -> str:
-        """Title for people, such as 'v (µm/s)'."""
-        name = self.name
-        return f'{NAMES.get(name, name)} ({symbol(name)})' if symbol(name) else name
+        """Title for people, such as 'v (µm/s)' or 'delay of command_delay (s)'."""
+        *effect, name = self.name.split('.')
+        of = ''.join(f' of {one}' for one in effect)
+        unit = f' ({symbol(name)})' if symbol(name) else ''
+        return NAMES.get(name, name.removesuffix(suffix(name))) + of + unit
 
     def by_kind(self) -> list[Quantity]:
         """Return the quantity separately for each kind of particles, and for those without a kind.

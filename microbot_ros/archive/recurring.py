@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import bdtrc, chdtrc, chdtri
+from scipy.special import bdtrc, chdtri
 
 from microbot_ros.archive.random_effects import Spread, spread
-from microbot_ros.common.units import symbol
+from microbot_ros.common.units import suffix, symbol
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.parameter import Parameter
 
@@ -65,7 +65,8 @@ class Recurring:
         Spread of each parameter between the sessions that have it, in the unit of its name; if the
         effect vanishes at infinity that of the reciprocal. Angles of a shape are left out.
     estimates : dict[str, dict[str, tuple[float, float]]]
-        {parameter: {session: (value, standard deviation)}} in the same units.
+        {parameter: {session: (value, standard deviation)}} in the same units, of the sessions that
+        determine it.
     """
 
     id: str
@@ -120,7 +121,7 @@ class Recurring:
         str
             The sentence.
         """
-        known = len(self.probability)
+        known = len(self.probability) + len(self.unseen)
         where = ('in the only session' if len(self.present) == known == 1 else
                  f'in all {known} sessions' if len(self.present) == known else
                  f'in {len(self.present)} of {known} sessions')
@@ -128,16 +129,16 @@ class Recurring:
             where += f' ({len(self.undecided)} cannot decide)'
         if len(self.present) < 2:
             return f'{self.id} {where}.'
-        how = ('its ' + ' and '.join(self.varying) + ' varies by session' if self.varying else
-               'with common parameters')
+        *some, last = [name.removesuffix(suffix(name)) for name in self.varying] or ['']
+        how = (f'its {", ".join(some)} and {last} vary by session' if some else
+               f'its {last} varies by session' if last else 'with common parameters')
         return f'{self.id} {where}, {how}.'
 
 
 def candidates_for_all(results: Results) -> list[str]:
     """Return the effects to measure in every complete session.
 
-    These are effects that are established in more sessions than by chance, and effects whose
-    evidence is significant over all sessions though too weak in each. Proxies do not count as
+    These are effects that are established in more sessions than by chance. Proxies do not count as
     names.
 
     Parameters
@@ -153,18 +154,8 @@ def candidates_for_all(results: Results) -> list[str]:
     known = [one for one in results.values() if is_complete(one)]
     named = Counter(effect['id'] for one in known for effect in one['result']['effects']
                     if effect['status'] == 'established')
-    gains, free = Counter[str](), Counter[str]()
-    for one in known:
-        for name, ratio, dof in one['candidates']:
-            gains[name] += max(ratio, 0.0)
-            free[name] += dof
-    often = {name for name, count in named.items()
-             if len(known) < 3 or bdtrc(count - 1, len(known), BY_CHANCE) < BY_CHANCE}
-    # A place or frequency is the best of many, which alone is no evidence.
-    pooled = {name for name in gains
-              if not any(p.shape for p in EFFECTS[name].parameters())
-              and chdtrc(free[name], gains[name]) * len(EFFECTS) < BY_CHANCE}
-    return sorted(often | pooled)
+    return sorted(name for name, count in named.items()
+                  if len(known) < 3 or bdtrc(count - 1, len(known), BY_CHANCE) < BY_CHANCE)
 
 
 def is_complete(result: dict[str, Any]) -> bool:
@@ -244,11 +235,14 @@ def _recurring(effect: str, measured: Results) -> tuple[float, Recurring] | None
     told = {name: one['effects'].get(effect) for name, one in measured.items()
             if 'effects' in one}
     parameters = EFFECTS[effect].parameters()
-    seen = {name: one for name, one in told.items() if one and all(
-        std is not None for _, std in one['parameters'].values())}
+    asked = {name: np.array([one['parameters'][p.name] for p in parameters], float)
+             for name, one in told.items() if one}
+    for x_std in asked.values():
+        x_std[_undetermined(parameters, x_std[:, 1]), 1] = np.inf
+    seen = {name: told[name] for name, x_std in asked.items() if np.isfinite(x_std[:, 1]).any()}
     if not seen:
         return None
-    both = np.array([[one['parameters'][p.name] for p in parameters] for one in seen.values()])
+    both = np.array([asked[name] for name in seen])
     ratio = np.array([one['likelihood_ratio'] for one in seen.values()])
     angle = np.array([p.is_angle for p in parameters])
     probability, gain = _two_groups(both[..., 0], both[..., 1], ratio, angle)
@@ -262,12 +256,23 @@ def _recurring(effect: str, measured: Results) -> tuple[float, Recurring] | None
             continue
         values, stds = _in_units(parameter, both[:, k, 0], both[:, k, 1])
         estimates[parameter.name] = {name: (float(v), float(s)) for name, v, s in zip(
-            seen, values, stds, strict=True)}
+            seen, values, stds, strict=True) if np.isfinite(s)}
         if (one := spread(values[has], stds[has])) is not None:
             spreads[parameter.name] = one
     return gain, Recurring(
         effect, dict(zip(seen, probability.tolist(), strict=True)),
         tuple(name for name in told if name not in seen), spreads, estimates)
+
+
+def _undetermined(parameters: tuple[Parameter, ...], std: np.ndarray) -> np.ndarray:
+    """Return which parameters (P,) a session does not determine, by their `std` (P,).
+
+    Those are null, or tell no more than that the parameter is within its bounds: a uniform
+    distribution there has a standard deviation of their distance over √12.
+    """
+    bounds = np.array([parameter.fit_bounds for parameter in parameters])
+    wide: np.ndarray = np.isnan(std) | (std >= np.ptp(bounds, axis=1) / np.sqrt(12))
+    return wide
 
 
 def _in_units(parameter: Parameter, x: np.ndarray, std: np.ndarray,
@@ -296,7 +301,9 @@ def _two_groups(x: np.ndarray, std: np.ndarray, ratio: np.ndarray, angle: np.nda
     gain = -np.inf
     for _ in range(_ROUNDS):
         has = probability >= 0.5
-        share = float(np.clip(probability.mean(), 0.5 / count, 1 - 0.5 / count))
+        # Laplace's rule of succession: a session that tells nothing is not decided by the others
+        # of a small archive.
+        share = (float(probability.sum()) + 1) / (count + 2)
         log_bayes = ratio / 2 + blind + _fitting(y, s, has)
         log_odds = np.log(share / (1 - share)) + log_bayes
         before, probability = probability, 1 / (1 + np.exp(-np.clip(log_odds, -700, 700)))
@@ -316,9 +323,11 @@ def _fitting(y: np.ndarray, s: np.ndarray, has: np.ndarray) -> np.ndarray:
     result = np.zeros(len(y))
     for values, stds in zip(y.T, s.T, strict=True):
         of = spread(values[has], stds[has])
-        assert of is not None
+        if of is None:
+            continue  # determined in no session that has it
         # One session does not determine the spread: take the size of the effect.
         between = of.between if np.isfinite(of.between) else abs(of.mean)
-        wide = stds**2 + between**2 + of.mean_std**2
-        result += np.log(stds**2 / wide) / 2 - (values - of.mean) ** 2 / (2 * wide)
+        # An infinite error brings nothing, and costs nothing.
+        beyond = between**2 + of.mean_std**2
+        result -= np.log1p(beyond / stds**2) / 2 + (values - of.mean)**2 / 2 / (stds**2 + beyond)
     return result

@@ -187,7 +187,7 @@ def _draw(axis: Axes, one: Quantity) -> None:
             ', kind by kind' if len(kinds) > 1 else ''), fontsize=8)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.set_xlim(0.5, len(x) + 0.5)
-    axis.set_ylabel(one.title.replace('.', '\n'), fontsize=9)
+    axis.set_ylabel(one.title.replace(' of ', '\nof '), fontsize=9)
     axis.tick_params(labelsize=8)
     axis.spines[['top', 'right']].set_visible(False)
 

@@ -220,7 +220,6 @@ def _discover(job: Job) -> dict[str, Any]:
         'report': _write_report(job, session, found),
         'reference_field': found.model.reference_field,
         'effects': write_effects(found.model.effects),
-        'candidates': [[c.id, c.likelihood_ratio, c.dof] for c in found.considered],
     }
 
 
