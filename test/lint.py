@@ -9,6 +9,8 @@
   back.
 * Every constant number has a string below it, or a comment, that says where it is from.
 * Imports run one way, file by file: what one file needs of another never leads back to it.
+* A legend has a place: matplotlib searches for the best one, and warns where that takes over 1 s,
+  as on a busy machine.
 * What is compiled uses the cache that many processes may share.
 """
 
@@ -294,6 +296,17 @@ def unshared():
                 yield name
 
 
+def unplaced():
+    """Files with a legend that matplotlib is to place."""
+    for name, path in FILES.items():
+        text = path.read_text(encoding='utf-8')
+        for node in ast.walk(ast.parse(text)) if '.legend(' in text else ():
+            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith('.legend'):
+                places = [word.value.value for word in node.keywords if word.arg == 'loc']
+                if places in ([], ['best']):
+                    yield f'{name}:{node.lineno}'
+
+
 def main():
     """Print all complaints, and how many names are complete; 1 if there are complaints."""
     modules = [module for room in ROOMS for module in public_modules(room)]
@@ -305,6 +318,7 @@ def main():
     if around := circle({name: sorted({*needs(name)} - {name}) for name in FILES}):
         found.append(f'imports run in a circle: {" → ".join(around)}')
     found += [f'{name}: import numba from microbot_ros.common.compiled' for name in unshared()]
+    found += [f'{where}: expected a legend with loc, other than best' for where in unplaced()]
     for complaint in found:
         print(complaint)
     complete = len(names - {where for where, _ in wrong})

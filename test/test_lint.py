@@ -75,3 +75,12 @@ def test_numba_itself_is_found(monkeypatch, tmp_path):
                       ('from numba import types', True), ('import numpy', False)):
         file.write_text(text)
         assert list(lint.unshared()) == ['made'] * bad
+
+
+def test_a_legend_without_a_place_is_found(monkeypatch, tmp_path):
+    path = tmp_path / 'made.py'
+    monkeypatch.setattr(lint, 'FILES', {'made': path})
+    for call, bad in (('.legend()', True), (".legend(loc='best')", True),
+                      (".legend(ncols=2, loc='upper left')", False)):
+        path.write_text(f'axes{call}\n', encoding='utf-8')
+        assert list(lint.unplaced()) == ['made:1'] * bad

@@ -60,7 +60,7 @@ def _ways(axes: Axes, swarm: Swarm, goal: np.ndarray, found: Reach) -> None:
              title=f'Best together: {abs(found.displacement):.1f} s, '
                    f'{found.floor * 1e6:.1f} µm RMS left')
     axes.margins(0.15)
-    axes.legend(fontsize=8, loc='best')
+    axes.legend(fontsize=8, loc='upper right', bbox_to_anchor=(-0.15, 1))
     axes.grid(alpha=0.25)
 
 

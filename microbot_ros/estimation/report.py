@@ -144,7 +144,8 @@ def figure(fit: FitResult, path: Path) -> None:
     _compare(middle, fit, 'φ [°]', np.degrees(speeds.phi), np.degrees(speeds.phi_std),
              np.degrees(beside(np.array([leg.phi for leg in legs]), speeds.phi)).tolist(),
              [np.degrees(leg.phi_std) for leg in legs])
-    left.legend(frameon=False, fontsize='small', title='95 % intervals')
+    left.legend(frameon=False, fontsize='small', title='95 % intervals', loc='upper center',
+                bbox_to_anchor=(0.5, -0.15))
     for n, name in enumerate(fit.ids):
         measured, predicted = fit.measured[:, n] * 1e6, fit.predicted[:, n] * 1e6
         right.plot(measured.real, measured.imag, lw=1.2, color=f'C{n % 10}', label=f'{name}')
@@ -153,7 +154,8 @@ def figure(fit: FitResult, path: Path) -> None:
               title='tracks; dashed: the fitted model from the start')
     right.title.set_fontsize('medium')
     if len(fit.ids) <= 12:
-        right.legend(title='particle', frameon=False, fontsize='small')
+        right.legend(title='particle', frameon=False, fontsize='small', loc='upper left',
+                     bbox_to_anchor=(1, 1))
     canvas.figure.savefig(path, dpi=130)
 
 

@@ -39,7 +39,7 @@ def draw_calibration(calibration: Calibration, readings: Readings, path: str | P
     above.set(ylabel='measured [mT]', title='Readings')
     above.tick_params(labelbottom=False)
     above.sharex(below)
-    above.legend()
+    above.legend(loc='upper left')
     below.axhline(0, color='0.7', linewidth=0.8, zorder=0)
     below.set(xlabel='fitted [mT]', ylabel='residual [mT]')
     gains = figure.add_subplot(grid[:, 1])

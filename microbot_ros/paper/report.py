@@ -51,7 +51,8 @@ def draw_trajectories(trial: Trial) -> Figure:
         axis.set(title=f'particle {i + 1}', xlabel='x (µm)', aspect='equal')
         axis.set_adjustable('datalim')
     axes[0].set_ylabel('y (µm)')
-    axes[0].legend(fontsize=8)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc='outside lower center', ncols=4,
+                  fontsize=8)
     return figure
 
 
@@ -86,7 +87,7 @@ def _draw_over_time(axis: Axes, trials: list[Trial]) -> None:
         axis.plot(t, middle, STYLES[approach], color=APPROACH[approach], label=LABELS[approach])
     axis.set(xlabel='time (s)', ylabel='distance from measured (µm)', ylim=(0, None),
              title=f'error over time, {len(trials)} repetitions, median and middle 80 %')
-    axis.legend(fontsize=8)
+    axis.legend(fontsize=8, loc='upper left')
 
 
 def _draw_bars(axis: Axes, trials: list[Trial]) -> None:

@@ -53,7 +53,7 @@ def _draw_paths(axes: Axes, session: Session) -> None:
     axes.set(xlabel='x [µm]', ylabel='y [µm]', title='paths, from the dots')
     axes.set_aspect('equal', 'datalim')
     if len(session.tracks.particles) <= 12:
-        axes.legend(title='particle', fontsize='small')
+        axes.legend(title='particle', fontsize='small', loc='upper left', bbox_to_anchor=(1, 1))
 
 
 def _draw_commands(direction: Axes, size: Axes, session: Session) -> None:

@@ -51,7 +51,7 @@ def write_settings_figure(
     profile.axvline(appearance.diameter_px / 2, color='0.6', linestyle=':', label='radius')
     profile.set(title='the typical particle', xlabel='distance from the centre [px]',
                 ylabel='contrast [grey levels]')
-    profile.legend()
+    profile.legend(loc='upper center', bbox_to_anchor=(0.5, -0.12), ncols=2)
     words.axis('off')
     words.text(0, 1, '\n'.join(_explain(appearance, settings)), va='top', family='monospace',
                fontsize=8, wrap=True)

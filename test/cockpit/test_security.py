@@ -197,9 +197,13 @@ def test_a_request_that_never_ends_is_cut(
         one.sendall(b'GET / HTTP/1.1\r\nHost: 127')
         with suppress(ConnectionResetError):
             assert one.recv(100) == b''
+    monkeypatch.undo()
+    begin, begun = BriefConnection.connection_made, []
+    monkeypatch.setattr(BriefConnection, 'connection_made', lambda connection, transport: (
+        begin(connection, transport), begun.append(connection)))
     with served.page() as page:
-        page.drain(0.5)
-        assert page.ask('stop')['ok'], 'a page outlives that'
+        assert page.ask('stop')['ok']
+        assert begun[-1]._end.cancelled(), 'a page outlives that'
 
 
 def test_a_silent_page_makes_room_for_a_new_one(served: Any) -> None:

@@ -78,6 +78,13 @@ def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None
     assert told['watchdog'].startswith('in the firmware, zeroed after ')
 
 
+@pytest.mark.parametrize('board_turns', [False, True])
+def test_the_board_turns_a_field_only_where_that_is_set(
+        emulator: Any, ros: Any, board_turns: bool) -> None:
+    graph = _start(emulator, ros, board_turns=board_turns)
+    assert graph.nodes['coil_driver']._driver.amplifier.swings == board_turns
+
+
 def test_whether_it_is_armed_is_published_on_change_and_to_late_subscribers(
         emulator: Any, ros: Any) -> None:
     """With the diagnostics that say why not, which else a timer publishes."""
@@ -402,6 +409,8 @@ def test_the_end_says_where_no_zero_is_confirmed(
     ({'port': 'x', 'amplifier': 'modbus'},
      'accept_no_watchdog: the amplifier has no reliable watchdog'),
     ({'port': 'x', 'amplifier': 'steam'}, "received 'steam'"),
+    ({'port': 'x,y', 'amplifier': 'roboteq', 'board_turns': True},
+     'board_turns: roboteq cannot rotate the field itself'),
     ({'port': 'x', 'coils_file': '/nowhere/coils.yaml'}, '/nowhere/coils.yaml'),
 ])
 def test_what_cannot_be_opened_is_one_clear_line(

@@ -125,7 +125,7 @@ def draw_coils(found: CoilMap, path: Path) -> None:
     above.set(ylabel='beside the command [°]',
               title=f'Gain of y over x coils {gain.value:.3f} ± {gain.std:.3f}, '
                     f'lean {np.degrees(skew.value):.2f} ± {np.degrees(skew.std):.2f}°')
-    above.legend()
+    figure.legend(loc='outside lower center', ncols=2)
     left = np.degrees(seen.deviation - found.expected(seen.commanded))
     below.errorbar(at, left, std, fmt='o', color='C0', markersize=4)
     for axis in (above, below):

@@ -53,7 +53,7 @@ def _paths(axes: Axes, run: DemoRun, colours: dict[int, str]) -> None:
             axes.annotate(str(number), (gx, gy), xytext=(6, -12), textcoords='offset points')
     axes.set(title=f'Tracked paths; ● start; particle {run.steered} is steered',
              xlabel='x [µm]', ylabel='y [µm]', aspect='equal')
-    axes.legend(loc='best')
+    axes.legend(loc='upper left', bbox_to_anchor=(1, 1))
 
 
 def _estimates(axes: Axes, run: DemoRun, colours: dict[int, str], what: str, scale: float,
@@ -86,7 +86,7 @@ def _error(axes: Axes, run: DemoRun, goal: np.ndarray) -> None:
     axes.axvspan(t[-1] - LAST_SECONDS, t[-1], color='gray', alpha=0.15,
                  label=f'last {LAST_SECONDS:g} s')
     axes.set(title='True distance to the last goal', xlabel='time [s]', ylabel='distance [µm]')
-    axes.legend()
+    axes.legend(loc='upper right')
 
 
 def _latency(axes: Axes, run: DemoRun) -> None:
@@ -97,6 +97,6 @@ def _latency(axes: Axes, run: DemoRun) -> None:
         for q, style in ((50, '-'), (99, '--')):
             value = float(np.percentile(milliseconds, q))
             axes.axvline(value, color=COLOURS[1], linestyle=style, label=f'p{q} {value:.1f} ms')
-        axes.legend()
+        axes.legend(loc='upper right')
     axes.set(title='From exposure to the amplifier’s acknowledgement', xlabel='latency [ms]',
              ylabel='frames')

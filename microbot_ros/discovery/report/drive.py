@@ -111,6 +111,6 @@ def draw_drive(found: Drive, before: str, after: str) -> Figure:
     axis.xaxis.set_major_formatter('{x:g}')
     axis.set_xlabel('rotation (Hz)')
     axis.set_ylabel('speed over frequency (µm/s/Hz)')
-    axis.legend(frameon=False)
+    axis.legend(frameon=False, loc='upper left', bbox_to_anchor=(1, 1))
     axis.spines[['top', 'right']].set_visible(False)
     return figure

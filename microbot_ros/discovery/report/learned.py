@@ -56,7 +56,7 @@ def draw_learned(term: LearnedTerm) -> Figure:
         axis.set_xlabel(_label(axis_name))
         axis.set_ylabel(_label(name))
         axis.spines[['top', 'right']].set_visible(False)
-    axes[0].legend(frameon=False, fontsize=9)
+    axes[-1].legend(frameon=False, fontsize=9, loc='upper left', bbox_to_anchor=(1, 1))
     return figure
 
 
