@@ -375,9 +375,10 @@ def test_an_operator_whose_heartbeats_end_disarms(
 def test_a_hot_coil_is_hot_after_a_restart(emulator: Any, ros: Any) -> None:
     graph = _start(emulator, ros)
     driver = graph.nodes['coil_driver']
+    driver._driver.gate.heat = (0.5, 0.2, 0.0, 0.0)
+    graph.until(driver._heat.path.exists)  # for one that is killed
     driver._driver.gate.heat = (0.9, 0.2, 0.0, 0.0)
     assert driver.health()[2]['hottest_coil_percent'] == pytest.approx(90.0, abs=1.0)
-    graph.until(driver._heat.path.exists)  # for one that is killed
     driver.trigger_deactivate()
     driver.trigger_cleanup()
     driver.trigger_configure()
