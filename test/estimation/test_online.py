@@ -141,6 +141,29 @@ def test_a_model_that_is_loaded_while_running_explains_from_then_on(tmp_path, hi
     assert any('does not explain' in text for text in plain.diagnosis)
 
 
+def test_a_model_that_is_used_before_the_first_frame_is_that_of_the_beginning():
+    """With the headings that lag, and their deviations."""
+    session, _ = experiment(5, hidden=('alignment_lag', {'tau_s': 0.4}))
+    model = Model(FIELD, effects=(AlignmentLag(0.4),))
+    changed = Estimator(CONDITIONS)
+    changed.use(model)
+    begun, later = (replay(session, one)[-1] for one in (
+        Estimator(CONDITIONS, model=model), changed))
+    np.testing.assert_array_equal(later.speed, begun.speed)
+    np.testing.assert_array_equal(later.phi_std, begun.phi_std)
+
+
+def test_doubts_about_a_model_end_with_it(tmp_path):
+    def drift(times, positions):
+        positions[..., 0] += 2e-6 * np.maximum(times - 3, 0)[:, None]
+
+    session, _ = experiment(5, 6.0)
+    write_model(tmp_path / 'model.yaml', Model(FIELD, effects=(UniformDrift(2e-6, 0.0),)), NOBODY)
+    found = replay(session, change=drift, load=tmp_path / 'model.yaml')
+    doubts = [any('microbot discover' in text for text in one.diagnosis) for one in found[99:]]
+    assert doubts[:2] == [True, False]
+
+
 def test_a_delay_that_was_found_is_forgotten_when_a_model_has_it(tmp_path):
     session, _ = experiment(2, 8.0, hidden=('command_delay', {'delay_s': 0.15}))
     write_model(tmp_path / 'model.yaml', Model(FIELD, effects=(CommandDelay(0.15),)), NOBODY)
