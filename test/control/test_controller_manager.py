@@ -403,12 +403,18 @@ def test_expected_positions_follow_the_commands_on_their_way():
     fast = Limits(field=5e-3, slew=10.0)
     manager = ControllerManager({'looks': looks}, 'looks', deadline=AMPLE)
     speed, phi = np.array([4e-6, 2e-6]), np.array([np.pi / 2, np.nan])
-    for t in (0.0, 0.01, 0.02):
-        manager.tick(controller_input(2, t=t, dt=DT, limits=fast, age=0.02, delay=0.03,
+
+    def tick(t, dt=DT):
+        manager.tick(controller_input(2, t=t, dt=dt, limits=fast, age=0.02, delay=0.03,
                              position=np.zeros((2, 2)), speed=speed, phi=phi))
+
+    for t in (0.0, 0.01, 0.02):
+        tick(t)
     # Exposed at 0.00, acting from 0.05 on; the first command acts from 0.03 on.
     assert looks.expected[0] == pytest.approx([0, 4e-6 * 0.02], abs=1e-12)
     assert looks.expected[1] == pytest.approx([0, 0])
+    tick(1.02, dt=1.0)
+    assert looks.expected[0] == pytest.approx([0, 0]), 'what was driven meanwhile is not known'
 
 
 def test_closing_deactivates():
