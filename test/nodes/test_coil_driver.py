@@ -409,6 +409,8 @@ def test_the_end_says_where_no_zero_is_confirmed(
     ({'port': 'x', 'step_limit_A': 2.0}, 'step_limit_A: expected at least 2.332 A'),
     ({'port': 'x', 'amplifier': 'modbus'},
      'accept_no_watchdog: the amplifier has no reliable watchdog'),
+    ({'port': 'x,y', 'amplifier': 'sabertooth', 'self_check': False},
+     'accept_no_feedback: the amplifier measures no currents'),
     ({'port': 'x', 'amplifier': 'steam'}, "received 'steam'"),
     ({'port': 'x,y', 'amplifier': 'roboteq', 'board_turns': True},
      'board_turns: roboteq cannot rotate the field itself'),
