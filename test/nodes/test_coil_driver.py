@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState, MagneticField, TimeReference
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
 
-from microbot_ros.drive.coil_driver import STOPPED
+from microbot_ros.drive.coil_driver import STOPPED, Zero
 from microbot_ros.drive.gate import Fault
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import LATCHED
@@ -384,6 +384,28 @@ def test_a_hot_coil_is_hot_after_a_restart(emulator: Any, ros: Any) -> None:
     driver.trigger_configure()
     assert driver._driver.gate.heat[0] > 0.85
     driver._heat.path.unlink()
+
+
+def test_a_lost_amplifier_is_an_error_that_names_its_port(emulator: Any, ros: Any) -> None:
+    """Where it was disarmed as nobody commanded, which is no fault."""
+    graph = _start(emulator, ros, idle_disarm_s=1.0)
+    driver = graph.nodes['coil_driver']
+    graph.until(lambda: _arm(graph).success)
+    graph.until(lambda: not driver._driver.gate.armed)
+    emulator.end()
+    graph.until(lambda: not driver._driver.connected)
+    level, sentence, _ = driver.health()
+    assert level == b'\x02'
+    assert sentence.startswith(f'amplifier lost at {emulator.url}, reconnecting; ')
+
+
+def test_a_zero_that_nothing_can_confirm_is_told_with_its_reason(emulator: Any, ros: Any) -> None:
+    driver = _start(emulator, ros).nodes['coil_driver']
+    assert driver._zero_sentence(Zero.SENT) == Zero.SENT
+    driver._driver.amplifier.reads_back = False
+    told = driver._zero_sentence(Zero.SENT)
+    assert told == f'{Zero.SENT}: the amplifier measures no currents'
+    assert driver._zero_sentence(Zero.CONFIRMED) == Zero.CONFIRMED
 
 
 @pytest.mark.parametrize('lost', [False, True])
