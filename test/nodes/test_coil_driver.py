@@ -54,6 +54,8 @@ def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None
     fields = graph.hear(MagneticField, 'field/applied')
     latencies = graph.hear(TimeReference, 'coil_driver/latency')
     told_currents = [graph.hear(JointState, f'coils/{what}') for what in ('applied', 'measured')]
+    watchdog = graph.nodes['coil_driver'].health()[2]['watchdog']
+    assert watchdog == 'in the firmware, if it has one: arming tests it'
     graph.until(lambda: _arm(graph).success)
 
     def matches() -> bool:
@@ -277,6 +279,7 @@ def test_a_board_without_a_watchdog_is_driven_where_it_is_accepted_by_name(
     with type(emulator)(tmp_path, watchdog_s=None) as unwatched:
         graph = _start(unwatched, ros, accept_no_watchdog=True)
         graph.until(lambda: _arm(graph).success)
+        assert 'loses its power' in graph.nodes['coil_driver'].health()[2]['watchdog']
         assert 'loses its power' in _arm(graph).message
         _driving(graph, unwatched)
         assert 'loses its power' in graph.nodes['coil_driver'].health()[1]
