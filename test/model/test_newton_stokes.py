@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -58,6 +59,17 @@ def test_stiff_solver_agrees_with_the_closed_form_while_the_speed_builds_up():
     exact = exact_translation(FLUID, three(), COMMANDS, times, START)
     assert np.abs(solved - exact).max() < 1e-14
     assert np.abs(exact[5] - START).max() > 1e-13  # it does move meanwhile
+
+
+def test_what_scipy_leaves_unset_gives_no_warning(monkeypatch):
+    """Memory may hold any bits, such as a NaN that signals."""
+    signals = np.array(0x7ff0000000000001, np.uint64).view(float)
+    odd = SimpleNamespace(**vars(np) | {'empty': lambda shape, dtype=float: np.full(
+        shape, signals, dtype)})
+    monkeypatch.setattr('scipy.integrate._ivp.bdf.np', odd)
+    times = np.linspace(0, 2.4, 25)
+    solved = stokes_translation(FLUID, three(), COMMANDS, times, START)
+    assert np.isfinite(solved).all()
 
 
 def test_rotating_with_a_strong_moment_is_translation_alone():

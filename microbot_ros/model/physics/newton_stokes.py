@@ -140,9 +140,11 @@ def _solve(
     states = np.empty((len(times), len(state)))
     states[0] = state
     for begin, end, field, rows in _legs(commands, times):
-        leg = solve_ivp(
-            rates(field), (begin, end), state, 'BDF', t_eval=np.union1d(times[rows], [end]),
-            rtol=_RELATIVE, atol=tolerance)
+        # SciPy's first step subtracts from memory that it has not set, and drops the result.
+        with np.errstate(invalid='ignore', over='ignore'):
+            leg = solve_ivp(
+                rates(field), (begin, end), state, 'BDF', t_eval=np.union1d(times[rows], [end]),
+                rtol=_RELATIVE, atol=tolerance)
         state = leg.y[:, -1]
         states[rows] = leg.y[:, :len(times[rows])].T
     return states
