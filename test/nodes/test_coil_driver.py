@@ -96,13 +96,17 @@ def test_whether_it_is_armed_is_published_on_change_and_to_late_subscribers(
     told = graph.hear(Bool, 'coil_driver/armed', LATCHED)
     health = graph.hear(DiagnosticArray, '/diagnostics')
     graph.until(lambda: told)
+    health.clear()
     graph.until(lambda: _arm(graph).success)
     graph.until(lambda: told[-1].data)
+    graph.until(lambda: any((pair.key, pair.value) == ('armed', 'True')
+                            for one in health for pair in one.status[0].values))
     graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
     count = len(told)
     health.clear()
     graph.until(lambda: not told[-1].data)  # nobody commands any more
     graph.until(lambda: any(one.status[0].level == b'\x02' for one in health))
+    graph.until(lambda: any('zero, confirmed' in one.status[0].message for one in health))
     assert [one.data for one in told[count:]] == [False]
     late = graph.hear(Bool, 'coil_driver/armed', LATCHED)
     graph.until(lambda: late)
@@ -240,6 +244,23 @@ def test_a_second_commander_trips_and_both_are_named(emulator: Any, ros: Any) ->
     finally:
         other.destroy_node()
     graph.until(lambda: _arm(graph).success)
+
+
+def test_who_commands_matters_only_while_armed_and_where_there_is_one(
+        emulator: Any, ros: Any, monkeypatch: Any) -> None:
+    graph, asked = _start(emulator, ros), []
+    driver = graph.nodes['coil_driver']
+    monkeypatch.setattr(driver, '_commanders', lambda: (['/one', '/other'], {b'1', b'2'}))
+    with monkeypatch.context() as patched:
+        patched.setattr(driver._driver, 'request_zero', asked.append)
+        driver._on_commanders(None)
+    monkeypatch.undo()
+    graph.until(lambda: _arm(graph).success)
+    monkeypatch.setattr(driver, '_commanders', lambda: ([], set()))
+    with monkeypatch.context() as patched:
+        patched.setattr(driver._driver, 'request_zero', asked.append)
+        driver._on_commanders(None)
+    assert asked == []
 
 
 def test_a_commander_that_is_back_needs_a_new_arm(emulator: Any, ros: Any) -> None:
