@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import time
+from dataclasses import fields
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,11 +18,12 @@ from sensor_msgs.msg import JointState, MagneticField, TimeReference
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
 
+from microbot_ros.common.settings import about
 from microbot_ros.drive.coil_driver import STOPPED, Zero
 from microbot_ros.drive.gate import Fault
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import LATCHED
-from microbot_ros.nodes.coil_driver import LIMITS
+from microbot_ros.nodes.coil_driver import LIMITS, CoilDriverParameters
 
 
 def _start(emulator: Any, ros: Any, **parameters: Any) -> Any:
@@ -78,6 +81,7 @@ def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None
     told = graph.nodes['coil_driver'].health()[2]
     assert told['self_check'] == 'passed, gains 1.00, 1.00, 1.00, 1.00'
     assert told['watchdog'].startswith('in the firmware, zeroed after ')
+    assert told['latency_ms'] == pytest.approx(1e3 * graph.nodes['coil_driver']._latency)
 
 
 @pytest.mark.parametrize('board_turns', [False, True])
@@ -263,6 +267,23 @@ def test_who_commands_matters_only_while_armed_and_where_there_is_one(
     assert asked == []
 
 
+def test_who_commands_is_looked_at_again_once_armed(
+        emulator: Any, ros: Any, monkeypatch: Any) -> None:
+    """Another may have come while arming, whose arrival counted for nothing."""
+    graph, armed = _start(emulator, ros), []
+    driver = graph.nodes['coil_driver']
+    monkeypatch.setattr(driver, '_on_commanders',
+                        lambda _: armed.append(driver._driver.gate.armed))
+    graph.until(lambda: _arm(graph).success)
+    assert armed == [True]
+
+
+def test_every_parameter_of_the_driver_is_fixed_at_start_up() -> None:
+    assert all(about(CoilDriverParameters, one.name).read_only
+               for one in fields(CoilDriverParameters))
+    assert about(CoilDriverParameters, 'full_scale_A').lower == 0.01
+
+
 def test_a_commander_that_is_back_needs_a_new_arm(emulator: Any, ros: Any) -> None:
     graph = _start(emulator, ros)
     graph.until(lambda: _arm(graph).success)  # at rest: nothing goes stale
@@ -430,6 +451,18 @@ def test_a_zero_that_nothing_can_confirm_is_told_with_its_reason(emulator: Any, 
     told = driver._zero_sentence(Zero.SENT)
     assert told == f'{Zero.SENT}: the amplifier measures no currents'
     assert driver._zero_sentence(Zero.CONFIRMED) == Zero.CONFIRMED
+
+
+def test_a_disk_that_is_full_is_told(emulator: Any, ros: Any, monkeypatch: Any) -> None:
+    def full(_: Any) -> None:
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    driver, told = _start(emulator, ros).nodes['coil_driver'], []
+    monkeypatch.setattr(driver, 'complain', told.append)
+    monkeypatch.setattr(driver._heat, 'save', full)
+    driver._driver.gate.heat = (0.9, 0.2, 0.0, 0.0)
+    driver._save_heat()
+    assert told[-1].endswith('cannot be saved for a restart (No space left on device)')
 
 
 @pytest.mark.parametrize('lost', [False, True])
