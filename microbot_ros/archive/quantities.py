@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from microbot_ros.archive.random_effects import Spread, Trend, spread, trend, unlike
-from microbot_ros.common.units import suffix, symbol
+from microbot_ros.common.units import bare, symbol
 
 NAMES = {'v_um_s': 'v', 'gain_um_s_hz': 'gain', 'phi_rad': 'φ', 'diffusion_um2_s': 'D',
          'localisation_um': 'σ'}
@@ -64,7 +64,7 @@ class Quantity:
         *effect, name = self.name.split('.')
         of = ''.join(f' of {one}' for one in effect)
         unit = f' ({symbol(name)})' if symbol(name) else ''
-        return NAMES.get(name, name.removesuffix(suffix(name))) + of + unit
+        return NAMES.get(name, bare(name)) + of + unit
 
     def by_kind(self) -> list[Quantity]:
         """Return the quantity separately for each kind of particles, and for those without a kind.

@@ -23,7 +23,8 @@ import numpy as np
 from scipy.special import bdtrc, chdtri
 
 from microbot_ros.archive.random_effects import Spread, spread
-from microbot_ros.common.units import suffix, symbol
+from microbot_ros.common.units import bare, symbol
+from microbot_ros.discovery.report.words import listed
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.parameter import Parameter
 
@@ -129,9 +130,10 @@ class Recurring:
             where += f' ({len(self.undecided)} cannot decide)'
         if len(self.present) < 2:
             return f'{self.id} {where}.'
-        *some, last = [name.removesuffix(suffix(name)) for name in self.varying] or ['']
-        how = (f'its {", ".join(some)} and {last} vary by session' if some else
-               f'its {last} varies by session' if last else 'with common parameters')
+        how = 'with common parameters'
+        if self.varying:
+            vary = 'varies' if len(self.varying) == 1 else 'vary'
+            how = f'its {listed(list(map(bare, self.varying)))} {vary} by session'
         return f'{self.id} {where}, {how}.'
 
 

@@ -234,7 +234,7 @@ def summary(result: dict[str, Any]) -> dict[str, Any]:
 
 def _sizes(parameters: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the parameters of an effect, with half their 95 % intervals, in their units."""
-    return [{'name': name.removesuffix(units.suffix(name)), 'unit': units.symbol(name),
+    return [{'name': units.bare(name), 'unit': units.symbol(name),
              'value': found['value'], 'half': (found['high_95'] - found['low_95']) / 2
              if None not in (found['high_95'], found['low_95']) else None}
             for name, found in parameters.items()]

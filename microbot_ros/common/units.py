@@ -74,6 +74,22 @@ def suffix(name: str) -> str:
     return next((s for s in _BY_LENGTH if name.endswith(s)), '')
 
 
+def bare(name: str) -> str:
+    """Return `name` without its unit: `bare('tau_s') == 'tau'`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity.
+
+    Returns
+    -------
+    str
+        Its name alone.
+    """
+    return name.removesuffix(suffix(name))
+
+
 def symbol(name: str) -> str:
     """Return the symbol of the unit that `name` carries: `symbol('wx_um_s') == 'µm/s'`.
 

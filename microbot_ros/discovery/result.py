@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from microbot_ros.common.units import from_si, suffix, symbol
+from microbot_ros.common.units import bare, from_si, symbol
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
@@ -168,7 +168,7 @@ class NamedEffect:
             In units for people.
         """
         values = ', '.join(
-            f'{name.removesuffix(suffix(name))} = {_told(name, e)}'
+            f'{bare(name)} = {_told(name, e)}'
             for name, e in self.parameters.items())
         alias = ', '.join(self.indistinguishable_from)
         doubt = f'; cannot be distinguished from {alias}' if alias else ''

@@ -50,7 +50,7 @@ class Parameter:
     @property
     def field(self) -> str:
         """Name of the field that holds the value in SI, without unit: `wx` for `wx_um_s`."""
-        return self.name.removesuffix(units.suffix(self.name))
+        return units.bare(self.name)
 
     @property
     def is_angle(self) -> bool:

@@ -84,6 +84,7 @@ class RecorderNode(RigNode):
                 raise InputError(self.get_name(), f'no topic {topic} to record; known: {known}')
             kind, qos = TOPICS[topic]
             self.subscribe(kind, topic, self._taker(topic), qos, raw=True)
+        self._collector = ParameterCollector(self, self._keep_parameters)
         self.service(SetBool, '~/record', self._on_record)
         self.every(0.1, self._look_around)
 
@@ -134,7 +135,8 @@ class RecorderNode(RigNode):
             'messages': sum(status.counts.values()), 'dropped': sum(status.dropped.values()),
             'written_MB': status.bytes_written / 1e6, 'queued_MB': status.queued_bytes / 1e6,
             'free_GB': status.free_bytes / 1e9,
-            'recording_s': time.monotonic() - self._began, 'title': self._subject['title']}
+            'recording_s': time.monotonic() - self._began, 'title': self._subject['title'],
+            'parameters_of': ' '.join(sorted(self._collector.answered))}
         if status.problem:
             return WARN, status.problem, values
         return OK, f'recording to {self._folder}', values
@@ -173,8 +175,7 @@ class RecorderNode(RigNode):
         self._folder, self._writer = folder, writer
         self._seen_frames = 0
         self._kept: set[str] = set()
-        self._collector = ParameterCollector(self, self._keep_parameters)
-        self._collector.look()
+        self._collector.begin()
 
     def _clocks(self) -> dict[str, str]:
         """Return the offsets from the machine's monotonic clock to ROS time and to UTC."""

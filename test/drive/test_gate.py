@@ -588,6 +588,33 @@ def test_a_device_that_stood_still_first_does_as_it_did(current, moment, reason)
     assert gate.arm(1.07) is None
 
 
+@pytest.mark.parametrize(('sent_s', 'reason'), [
+    (math.nextafter(0.0625, 1), Reason.SILENCE), (0.0625, Reason.UNCOMMANDED)])
+def test_before_it_stood_still_it_may_not_have_settled(sent_s, reason):
+    """What was replaced before the last reading counts as long as it may have been settling."""
+    gate = driving((1.0,) * 4)
+    gate.measured((1.0,) * 4, 0.03)
+    gate.command((0.4,) * 4, sent_s)
+    gate.sent(sent_s)
+    gate.measured((0.4,) * 4, 0.125)
+    gate.tick(0.4)
+    gate.sent(0.4)
+    assert tripped(gate, Reason.SILENCE)
+    gate.measured((1.0,) * 4, 1.0)
+    assert tripped(gate, reason)
+
+
+def test_readings_a_time_out_apart_are_no_silence():
+    gate = driving((1.0,) * 4)
+    gate.measured((1.0,) * 4, 0.1)
+    gate.trip(Reason.LINE, 'pulled')
+    gate.sent(0.2)
+    for moment in 0.25, 0.5:
+        gate.measured(ZERO, moment)
+    gate.measured((1.0,) * 4, 0.55)
+    assert tripped(gate, Reason.UNCOMMANDED)
+
+
 @pytest.mark.parametrize('coil', COILS)
 def test_one_coil_that_does_not_follow_is_not_late(coil):
     gate = driving((1.0,) * 4)

@@ -1,5 +1,8 @@
 """Whitening and noise levels against dense linear algebra and simulated diffusion."""
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,6 +14,8 @@ from microbot_ros.estimation.likelihood.joint import SessionFit, Whitening, sear
 from microbot_ros.estimation.likelihood.kernels import knot_products, whiten_columns
 from microbot_ros.estimation.likelihood.noise import Noise, implausible_diffusion, whiten
 from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
+from microbot_ros.estimation.online.shared import SharedKnowledge
+from microbot_ros.estimation.online.window import Window
 from microbot_ros.model.increments import as_vectors
 
 
@@ -209,3 +214,24 @@ def test_a_diffusion_that_is_no_number_is_in_no_sentence(diffusion):
     known = Conditions(radius=10e-6, viscosity=1e-3)
     assert not implausible_diffusion(known, Noise(diffusion, 1e-7))
     assert implausible_diffusion(known, Noise(28e-12, 1e-7, 0.0, 1e-15))
+
+
+def test_a_review_that_another_model_began_is_not_continued(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    reviewed: list[Any] = []
+
+    def review(_: Window, model: Any, *_rest: Any) -> Iterator[None]:
+        while True:
+            reviewed.append(model)
+            yield None
+    monkeypatch.setattr(Window, 'review', review)
+    knowledge = SharedKnowledge(Noise(diffusion=1e-13, localisation=1e-8))
+
+    def work(model: str, *seconds: float) -> set[str]:
+        reviewed.clear()
+        for t in seconds:
+            knowledge.work(t, model, None, None)
+        return {*reviewed}
+    assert work('first', 0.0, 100.0) == {'first'}
+    knowledge.forget_model()
+    assert work('second', 1000.0, 2000.0) == {'second'}

@@ -56,7 +56,8 @@ def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None
     graph = _start(emulator, ros)
     fields = graph.hear(MagneticField, 'field/applied')
     latencies = graph.hear(TimeReference, 'coil_driver/latency')
-    told_currents = [graph.hear(JointState, f'coils/{what}') for what in ('applied', 'measured')]
+    told_currents = [graph.hear(JointState, f'coils/{what}')
+                     for what in ('command', 'applied', 'measured')]
     watchdog = graph.nodes['coil_driver'].health()[2]['watchdog']
     assert watchdog == 'in the firmware, if it has one: arming tests it'
     graph.until(lambda: _arm(graph).success)
@@ -254,16 +255,15 @@ def test_who_commands_matters_only_while_armed_and_where_there_is_one(
         emulator: Any, ros: Any, monkeypatch: Any) -> None:
     graph, asked = _start(emulator, ros), []
     driver = graph.nodes['coil_driver']
-    monkeypatch.setattr(driver, '_commanders', lambda: (['/one', '/other'], {b'1', b'2'}))
-    with monkeypatch.context() as patched:
-        patched.setattr(driver._driver, 'request_zero', asked.append)
-        driver._on_commanders(None)
-    monkeypatch.undo()
+
+    def look(*found: str) -> None:
+        with monkeypatch.context() as patched:
+            patched.setattr(driver, '_commanders', lambda: (list(found), {*found}))
+            patched.setattr(driver._driver, 'request_zero', asked.append)
+            driver._on_commanders(None)
+    look('/one', '/other')
     graph.until(lambda: _arm(graph).success)
-    monkeypatch.setattr(driver, '_commanders', lambda: ([], set()))
-    with monkeypatch.context() as patched:
-        patched.setattr(driver._driver, 'request_zero', asked.append)
-        driver._on_commanders(None)
+    look()
     assert asked == []
 
 

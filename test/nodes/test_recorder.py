@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from std_srvs.srv import SetBool
 
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.client.parameter_collector import ParameterCollector
+from microbot_ros.nodes.recorder import RecorderNode
 from microbot_ros.nodes.replay import recorded_parameters
 from microbot_ros.session import read_session
 from microbot_ros.session.mcap.recording import open_recording
@@ -111,6 +114,40 @@ def test_every_parameter_and_the_files_that_they_name_are_kept(ros: Any, tmp_pat
     for name in ('clocks', 'clocks at the end'):
         ros_time = time.monotonic_ns() + int(about[name]['ros_minus_monotonic_ns'])
         assert ros_time == pytest.approx(time.time_ns(), abs=10**9)
+
+
+def test_each_recording_holds_the_parameters_of_its_time_whatever_the_list_of_nodes(
+        ros: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RecorderNode, 'get_node_names_and_namespaces', lambda _: [])
+    graph = ros({'recorder': {'recording': False}})
+    recorder = graph.add('recorder')
+    graph.add('model')
+    clients: list[Any] = []
+    for name in 'first', 'second':
+        graph.call(SetParameters, 'recorder/set_parameters', SetParameters.Request(parameters=[
+            Parameter('folder', value=str(tmp_path / name)).to_parameter_msg()]))
+        assert graph.call(SetBool, 'recorder/record', SetBool.Request(data=True)).success
+        graph.until(lambda: recorder._collector.answered == {'model', 'recorder'})
+        assert recorder.health()[2]['parameters_of'] == 'model recorder'
+        recorder.trigger_deactivate()
+        recorder.trigger_activate()
+        with open_recording(tmp_path / name) as recording:
+            kept = recorded_parameters(recording, ['model', 'recorder'], tmp_path)
+        assert kept['recorder']['folder'] == str(tmp_path / name)
+        assert 'radius_um' in kept['model']
+        clients.append(dict(recorder._collector._clients))
+    assert clients[0].items() <= clients[1].items()
+
+
+def test_an_answer_to_a_question_of_an_earlier_recording_is_not_kept() -> None:
+    told: list[str] = []
+    collector = ParameterCollector(SimpleNamespace(), lambda node, _: told.append(node))
+    earlier = collector._again
+    earlier['model'] = 0.0
+    collector.begin()
+    collector._answered(earlier, 'model', [], [])
+    assert told == []
+    assert collector.answered == set()
 
 
 def test_a_service_begins_and_ends_recordings_with_title_and_notes(

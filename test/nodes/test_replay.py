@@ -105,6 +105,16 @@ def test_frames_that_were_let_pass_when_recorded_are_left_out_and_counted(tmp_pa
     assert 'all outputs are equal' in out
 
 
+def test_a_recording_without_parameters_is_replayed_with_defaults_and_that_is_said(
+        tmp_path: Path) -> None:
+    bare = tmp_path / 'bare'
+    with open_recording(STEERING) as whole, RecordingWriter(bare) as writer:
+        for message in whole.messages(['/particles', '/model/state', '/field/applied']):
+            writer.write(*message)
+    _, _, error = replay(bare, '--check', '--node', 'model', '--end', 1)
+    assert f'{bare}: no parameters of model in it: defaults are used' in error
+
+
 def test_what_they_answered_was_more_than_nothing() -> None:
     with open_recording(TRACKING) as recording:
         seen = [recording.decode(m).width for m in recording.messages(['/particles'])]

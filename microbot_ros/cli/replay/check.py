@@ -100,6 +100,9 @@ def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
         plan = plan_replay(recorded, session, nodes)
         parameters = read_rig(config) if config else recorded_parameters(
             recorded, plan.nodes, scratch, policy)
+        if lacking := [node for node in plan.nodes if not parameters.get(node)]:
+            progress.print(f'{config or session}: no parameters of {", ".join(lacking)} in it: '
+                           'defaults are used', soft_wrap=True)
         replay = Replay(session, out, plan, parameters, end)
         length = end or (recorded.end_ns - recorded.start_ns) / 1e9
         with progress.status(f'{length:.0f} s through {", ".join(plan.nodes)}'):

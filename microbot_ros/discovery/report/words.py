@@ -8,7 +8,8 @@ from importlib.metadata import version
 import numpy as np
 
 from microbot_ros import __version__
-from microbot_ros.common.units import from_si, suffix, symbol
+from microbot_ros.common import units
+from microbot_ros.common.units import from_si, symbol
 from microbot_ros.discovery.result import Estimate, Limit
 from microbot_ros.model.effects import EFFECTS
 
@@ -153,7 +154,7 @@ def listed(identifiers: list[str]) -> str:
 
 
 def bare(name: str) -> str:
-    """Return the name of a parameter without its unit.
+    """Return the name of a parameter without its unit, in words.
 
     Parameters
     ----------
@@ -165,7 +166,7 @@ def bare(name: str) -> str:
     str
         As `tau`.
     """
-    return words(name.removesuffix(suffix(name)))
+    return words(units.bare(name))
 
 
 def term(effect_id: str) -> list[str]:

@@ -25,7 +25,10 @@ takes."""
 class ParameterCollector:
     """Collector that requests the parameters of a rig's nodes as they appear, without waiting.
 
-    Answers arrive by the executor of the requesting node.
+    It does not ask the graph which nodes there are: that list comes by a topic of the middleware's
+    own, on which a recording of a minute once waited in vain while messages came from all nodes.
+    A service that is ready is one that can be asked. Answers arrive by the executor of the
+    requesting node.
 
     Parameters
     ----------
@@ -38,12 +41,16 @@ class ParameterCollector:
     def __init__(self, node: RigNode, told: Callable[[str, dict[str, Any]], None]) -> None:
         self._node = node
         self._told = told
-        self._again: dict[str, float] = {}
         self._clients: dict[str, tuple[Client, Client]] = {}
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget all answers, also those that are under way, so that every node is asked anew."""
+        self._again: dict[str, float] = {}
 
     @property
     def answered(self) -> set[str]:
-        """Nodes that have answered."""
+        """Nodes that have answered since the beginning."""
         return {name for name, again in self._again.items() if again == math.inf}
 
     def look(self) -> None:
@@ -51,31 +58,30 @@ class ParameterCollector:
 
         One at a time, since the middleware delivers nothing while it makes a client: 10 ms.
         """
-        here = self._node.get_namespace()
-        for name, namespace in self._node.get_node_names_and_namespaces():
-            if name not in NODES or namespace != here or (
-                    time.monotonic() < self._again.get(name, 0.0)):
-                continue
+        for name in NODES:
             if name not in self._clients:
                 self._clients[name] = (
                     self._node.client(ListParameters, f'{name}/list_parameters'),
                     self._node.client(GetParameters, f'{name}/get_parameters'))
                 return
-            if all(client.service_is_ready() for client in self._clients[name]):
+            if time.monotonic() >= self._again.get(name, 0.0) and all(
+                    client.service_is_ready() for client in self._clients[name]):
                 self._again[name] = time.monotonic() + _PATIENCE
                 self._ask(name)
 
     def _ask(self, node: str) -> None:
         lister, getter = self._clients[node]
+        asked = self._again
 
         def listed(answer: Future) -> None:
             names = list(answer.result().result.names)
             getter.call_async(GetParameters.Request(names=names)).add_done_callback(
-                lambda got: self._answered(node, names, got.result().values))
+                lambda got: self._answered(asked, node, names, got.result().values))
         lister.call_async(ListParameters.Request()).add_done_callback(listed)
 
-    def _answered(self, node: str, names: list[str], values: list[ParameterValue]) -> None:
-        if self._again.get(node) != math.inf:
-            self._again[node] = math.inf
+    def _answered(self, asked: dict[str, float], node: str, names: list[str],
+                  values: list[ParameterValue]) -> None:
+        if asked is self._again and asked[node] != math.inf:
+            asked[node] = math.inf
             self._told(node, {name: parameter_value_to_python(value)
                               for name, value in zip(names, values, strict=True)})
