@@ -1,6 +1,7 @@
 """Whitening and noise levels against dense linear algebra and simulated diffusion."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,12 @@ from hypothesis import strategies as st
 
 from microbot_ros.common.records import Commands, Conditions
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
-from microbot_ros.estimation.likelihood.joint import SessionFit, Whitening, search_noise_ratio
+from microbot_ros.estimation.likelihood.joint import (
+    SMALLEST,
+    SessionFit,
+    Whitening,
+    search_noise_ratio,
+)
 from microbot_ros.estimation.likelihood.kernels import knot_products, whiten_columns
 from microbot_ros.estimation.likelihood.noise import Noise, implausible_diffusion, whiten
 from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
@@ -214,6 +220,21 @@ def test_a_diffusion_that_is_no_number_is_in_no_sentence(diffusion):
     known = Conditions(radius=10e-6, viscosity=1e-3)
     assert not implausible_diffusion(known, Noise(diffusion, 1e-7))
     assert implausible_diffusion(known, Noise(28e-12, 1e-7, 0.0, 1e-15))
+
+
+@pytest.mark.parametrize('heading', [False, True])
+@pytest.mark.parametrize('aspect', [0.5, 2 / 3, 2.0])
+def test_the_least_noise_of_blur_has_a_likelihood_under_any_aspect(aspect, heading):
+    """Blur correlates increments by less than −½ along both axes, however one is stretched."""
+    rng, step = np.random.default_rng(12), 1 / 30
+    times = step * np.arange(200)
+    plain = under((SMALLEST - 1 / 3) * step, diffuse(rng, 200, 2, step, 1e-13, 1e-9), times)
+    zero = np.zeros((199, 2))
+    noise = replace(plain.whitening, stretch=(1.0, aspect), **(
+        {'sensitivity': zero + 0j, 'retention': zero} if heading else {}))
+    found = SessionFit.of(plain.session, noise, plain.expected)
+    assert np.isfinite(found.log_det)
+    assert np.isfinite(found.restricted_log_likelihood)
 
 
 def test_a_review_that_another_model_began_is_not_continued(

@@ -149,8 +149,8 @@ class Whitening:
             return whiten_columns(*rows, columns, self.noise_ratio)
         columns = self._unstretched(columns)
         (x, log_x, count), (y, log_y, _) = (
-            whiten_columns(*rows, np.ascontiguousarray(part), self.noise_ratio / stretch**2)
-            for part, stretch in zip((columns.real, columns.imag), self.stretch, strict=True))
+            whiten_columns(*rows, np.ascontiguousarray(part), ratio)
+            for part, ratio in zip((columns.real, columns.imag), self._ratios, strict=True))
         return x + 1j * y, (log_x + log_y) / 2 + self._log_stretch(count), count
 
     def apply_with_factors(self, session: PreparedSession, columns: np.ndarray,
@@ -172,14 +172,23 @@ class Whitening:
         from microbot_ros.estimation.likelihood.kernels import whiten_with_heading
 
         assert self.sensitivity is not None
-        ratios = self.noise_ratio / np.square(self.stretch)
         white, log_det, count, factors = whiten_with_heading(
-            session.times, session.pieces, self._unstretched(columns), ratios[0], ratios[1],
+            session.times, session.pieces, self._unstretched(columns), *self._ratios,
             self.diffusion_ratio,
             self._unstretched(self.sensitivity), self.retention,
             self._unstretched(self._swing(session)), self.wander,
             self._kick(self.retention), self._unstretched(self._stride(self.sensitivity)))
         return white, log_det + self._log_stretch(count), count, factors
+
+    @property
+    def _ratios(self) -> list[float]:
+        """Noise ratio [s] of each axis where lengths are as they are.
+
+        Errors of positions shrink with lengths that appear too large. Blur does not: a ratio below
+        0, which is of blur, would else be below what any exposure explains.
+        """
+        return [self.noise_ratio / stretch**2 if self.noise_ratio > 0 else self.noise_ratio
+                for stretch in self.stretch]
 
     def _log_stretch(self, count: int) -> float:
         """Return the share of `stretch` in ½ log|V| of `count` rows."""
