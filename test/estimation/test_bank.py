@@ -5,6 +5,7 @@ import pytest
 
 from microbot_ros.estimation.online.bank import PhasorBank
 from microbot_ros.estimation.online.heading_bank import HeadingBank
+from microbot_ros.estimation.online.population import PACES
 
 
 class Textbook:
@@ -100,12 +101,13 @@ def simulate(rng, bank, change_at=None, factor=1.0, seconds=20.0, step=0.05):
     return c, seen
 
 
+@pytest.mark.parametrize('paces', [(), PACES])
 @pytest.mark.parametrize('factor', [0.5, np.exp(1j)])
-def test_a_change_is_followed_within_seconds(factor):
+def test_a_change_is_followed_within_seconds(factor, paces):
     rng = np.random.default_rng(1)
     errors = []
     for _ in range(10):
-        c, seen = simulate(rng, PhasorBank(7), 15.0, factor)
+        c, seen = simulate(rng, PhasorBank(7, paces), 15.0, factor)
         late = seen[int(18.0 / 0.05)]
         errors.append(abs(late.velocity_phasor[0] - c))
         assert abs(seen[int(14.9 / 0.05)].velocity_phasor[0] - 4) < 0.5
@@ -113,15 +115,40 @@ def test_a_change_is_followed_within_seconds(factor):
     assert np.sqrt(np.mean(np.square(errors))) < 0.35
 
 
-def test_without_a_change_nothing_is_lost():
+@pytest.mark.parametrize('paces', [(), PACES])
+def test_without_a_change_nothing_is_lost(paces):
     rng = np.random.default_rng(2)
     several, single = [], []
     for _ in range(12):
         state = rng.bit_generator.state
-        several.append(abs(simulate(rng, PhasorBank(7))[1][-1].velocity_phasor[0] - 4))
+        several.append(abs(simulate(rng, PhasorBank(7, paces))[1][-1].velocity_phasor[0] - 4))
         rng.bit_generator.state = state
         single.append(abs(simulate(rng, Single())[1][-1].velocity_phasor[0] - 4))
     assert np.sqrt(np.mean(np.square(several))) < 1.05 * np.sqrt(np.mean(np.square(single)))
+
+
+@pytest.mark.parametrize('kind', [PhasorBank, HeadingBank])
+def test_what_wanders_is_followed_within_its_spread(kind):
+    """Two particles of which one wanders for a minute; both are constant for another."""
+    rng, step, bank = np.random.default_rng(9), 0.05, kind(7, PACES)
+    c, place, off, wide = np.array([4.0 + 0j, 4.0]), np.zeros(2, complex), [], []
+    bank.add(place, np.full(2, 0.01), 100.0)
+    for k in range(2400):
+        if k % 20 == 0:
+            path = step * np.exp(1j * rng.uniform(-np.pi, np.pi))
+        c = c * (1 + (k < 1200) * np.array([0, 0.05 * np.sqrt(step)]) * rng.normal(size=2))
+        place = place + c * path + np.sqrt(2 * 0.04 * step) * (rng.normal(size=(2, 2)) @ [1, 1j])
+        bank.predict(np.array([path]), np.zeros(1), 2 * 0.04 * step, np.full(2, 1e-6 * 16 * step))
+        bank.update(place + 0.05 * (rng.normal(size=(2, 2)) @ [1, 1j]), np.full(2, 0.0025),
+                    np.full(2, True))
+        if k % 5 == 4:
+            bank.tick(1e-4, np.abs(bank.velocity_phasor[0]) ** 2 / 2, 100.0)
+        known = bank.combined()
+        wide.append(np.sqrt(known.phasor_var))
+        off.append(np.abs(known.velocity_phasor - c) / wide[-1])
+    assert (np.array(off)[400:] < 3).mean(axis=0) == pytest.approx([1, 1], abs=0.15)
+    assert wide[1199][1] > 3 * wide[1199][0]
+    assert abs(bank.velocity_phasor[0, 1] - c[1]) < 0.1 * abs(c[1])
 
 
 class Single(PhasorBank):
@@ -134,11 +161,12 @@ class Single(PhasorBank):
         return np.zeros(self.p.shape[1])
 
 
+@pytest.mark.parametrize('paces', [(), PACES])
 @pytest.mark.parametrize('kind', [PhasorBank, HeadingBank])
-def test_state_stays_finite_and_covariance_positive_over_millions_of_hostile_steps(kind):
+def test_state_stays_finite_and_covariance_positive_over_millions_of_hostile_steps(kind, paces):
     rng = np.random.default_rng(3)
     count, steps = 2000, 300
-    bank = kind(7)
+    bank = kind(7, paces)
     scale = 10.0 ** rng.uniform(-9, 2, count)
     bank.add(scale * rng.normal(size=count), scale**2, 1.0)
     for k in range(steps):
@@ -172,7 +200,7 @@ def test_state_stays_finite_and_covariance_positive_over_millions_of_hostile_ste
 @pytest.mark.parametrize('after', [4.0, -1.0 + 2.0j, 0.0])
 def test_begun_anew_it_keeps_what_it_knew_or_learns_another_velocity(kind, after):
     rng = np.random.default_rng(6)
-    bank, step = kind(7), 0.05
+    bank, step = kind(7, PACES), 0.05
     simulate(rng, bank)
     before = bank.combined()
     bank.restart(np.array([0]), np.array([30 - 20j]), np.array([0.0025]), 100.0)

@@ -71,6 +71,15 @@ def test_speed_and_direction_come_out_within_their_spread(camera):
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.6
 
 
+def test_a_speed_that_falls_is_followed_within_its_spread():
+    """Fuel that runs out, which the model does not have."""
+    session, gain = experiment(0, 90.0, ('speed_decay', {'tau_s': 150.0}))
+    times, _ = session.tracks.grid()
+    off = [(found.speed - np.abs(gain) * np.exp(-t / 150)) / found.speed_std
+           for t, found in zip(times, replay(session), strict=True) if t > 20]
+    assert np.mean(np.abs(off) < 2) > 0.8
+
+
 def test_force_carries_the_spread_of_viscosity_and_radius():
     session, _ = experiment(0, 6.0)
     last = replay(session)[-1]

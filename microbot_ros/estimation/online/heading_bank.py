@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, Self
 
 import numpy as np
@@ -22,15 +23,17 @@ class HeadingBank(PhasorBank):
 
     Parameters
     ----------
-    hypotheses : int
+    changes : int
+        As for `PhasorBank`.
+    paces : sequence of float, optional
         As for `PhasorBank`.
     """
 
     _ARRAYS: ClassVar[tuple[str, ...]] = (*PhasorBank._ARRAYS, 's', 'gs', 'ps', 's_var')
     """Names of all arrays (K, N)."""
 
-    def __init__(self, hypotheses: int) -> None:
-        super().__init__(hypotheses)
+    def __init__(self, changes: int, paces: Sequence[float] = ()) -> None:
+        super().__init__(changes, paces)
         self._on_course()
 
     @classmethod
@@ -47,7 +50,7 @@ class HeadingBank(PhasorBank):
         HeadingBank
             The same particles, with headings that do not deviate.
         """
-        grown = cls(bank.p.shape[0])
+        grown = cls(bank._changes, bank._paces[bank._changes:].tolist())
         for name in PhasorBank._ARRAYS:
             setattr(grown, name, getattr(bank, name))
         grown._on_course()

@@ -18,6 +18,13 @@ HYPOTHESES = 7
 Choice: older changes are part of the state; each costs time in every frame.
 """
 
+PACES = (2e2, 3e3)
+"""Variances of the walks by which c may wander, as multiples of that of a constant c.
+
+Choice: 1.4 and 5 % in the first second, for speeds that fall by 1/e in minutes and those that
+wander by a tenth in seconds. A third pace is no better.
+"""
+
 TICK = 0.25
 """Time [s] between moments at which a change of c is considered. Choice: the least age above."""
 
@@ -109,7 +116,7 @@ class Population:
     """Values of a new particle."""
 
     def __init__(self, phasor_prior_std: float) -> None:
-        self.bank = PhasorBank(HYPOTHESES)
+        self.bank = PhasorBank(HYPOTHESES, PACES)
         self.ids = np.empty(0, int)
         self.last_seen = np.empty(0)
         self._phasor_prior_var = phasor_prior_std**2
