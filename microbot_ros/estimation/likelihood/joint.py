@@ -184,8 +184,8 @@ class Whitening:
     def _ratios(self) -> list[float]:
         """Noise ratio [s] of each axis where lengths are as they are.
 
-        Errors of positions shrink with lengths that appear too large. Blur does not: a ratio below
-        0, which is of blur, would else be below what any exposure explains.
+        Errors of positions shrink with lengths that appear too large. Blur does not. A ratio below
+        0 comes from blur; scaled, it could be lower than any exposure explains.
         """
         return [self.noise_ratio / stretch**2 if self.noise_ratio > 0 else self.noise_ratio
                 for stretch in self.stretch]

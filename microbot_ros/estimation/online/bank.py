@@ -16,13 +16,11 @@ MIN_WEIGHT = 0.05
 Choice: without it, unlikely wide hypotheses dominate the variance.
 """
 
-
 LEAST_SHARE = 0.01
-"""Probability, relative to the likeliest, below which none falls that c wanders, nor that it does
-not.
+"""Least probability of "c wanders" and of "c is constant", relative to the likeliest hypothesis.
 
-Choice: with 0.03 the spread holds a falling speed in 86 instead of 78 % of the time, and a
-constant one is known less well, by 10 instead of 4 %.
+Choice: with 0.03 the spread contains a falling speed in 86 instead of 78 % of the time, but the
+error of a constant speed is 10 instead of 4 % larger.
 """
 
 
@@ -66,9 +64,10 @@ class PhasorBank:
     run-length posterior of Bayesian online change-point detection, Adams & MacKay 2007, on a fixed
     grid.)
 
-    The last hypotheses are "c wanders", each at its own pace. They are never reopened and never
-    impossible, so that a speed that begins to wander, or to fall, is followed. Where they are all
-    that is likely, hypothesis 0 begins anew from the likeliest of them.
+    The last hypotheses are "c wanders", each at its own pace. They are never reopened, and their
+    probability stays above LEAST_SHARE, so that a speed that begins to wander or to fall is
+    followed. Where all others are less likely than that, hypothesis 0 starts again from the
+    likeliest of these.
 
     Parameters
     ----------
@@ -257,7 +256,7 @@ class PhasorBank:
                                  self.phasor_var))
 
     def _share(self) -> None:
-        """Let neither a wandering nor a constant c become impossible."""
+        """Keep the probabilities of a wandering and of a constant c above LEAST_SHARE."""
         constant, wandering = np.split(self.log_weight, [self._changes])
         if not len(wandering):
             return

@@ -21,8 +21,8 @@ Choice: older changes are part of the state; each costs time in every frame.
 PACES = (2e2, 3e3)
 """Variances of the walks by which c may wander, as multiples of that of a constant c.
 
-Choice: 1.4 and 5 % in the first second, for speeds that fall by 1/e in minutes and those that
-wander by a tenth in seconds. A third pace is no better.
+Choice: 1.4 and 5 % in the first second. The first follows speeds that fall by 1/e in minutes, the
+second those that wander by a tenth in seconds. A third pace is no better.
 """
 
 TICK = 0.25
