@@ -16,6 +16,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -138,41 +139,48 @@ def _failed(who: str, sentence: str, status: int) -> int:
 def _cleaned_up_on(*signals: int) -> Iterator[None]:
     """Raise SystemExit at the first of the signals, so that no folder stays half filled.
 
-    Where C calls Python, as llvmlite and weak references do, an exception is ignored: it is raised
-    again 10 ms later, as is KeyboardInterrupt. The process ends within `_CLEAN_UP_S` in any case:
-    a library in C may swallow the exception. Forked workers end at once.
+    KeyboardInterrupt is raised as always, but neither of them during an import: the modules in C
+    that it loads swallow exceptions. Where C calls Python, as llvmlite and weak references do, an
+    exception is ignored: it is raised again 10 ms later. The process ends within `_CLEAN_UP_S` in
+    any case: a library in C may swallow the exception. Forked workers end at once.
     """
     ours = os.getpid()
     ignored = sys.unraisablehook
 
-    def end(number: int, _: FrameType | None) -> None:
+    def end(number: int, frame: FrameType | None) -> None:
         if os.getpid() != ours:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
+        elif number == signal.SIGINT:
+            say(KeyboardInterrupt(), frame, time.monotonic() + _CLEAN_UP_S)
         else:
             for one in before:
                 signal.signal(one, signal.SIG_IGN)
-            signal.alarm(_CLEAN_UP_S)
-            raise SystemExit(128 + number)
+            say(SystemExit(128 + number), frame, time.monotonic() + _CLEAN_UP_S)
+
+    def say(error: BaseException, frame: FrameType | None, latest: float) -> None:
+        if _imports(frame) and time.monotonic() < latest:
+            later(error, latest)
+            return
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(_CLEAN_UP_S if isinstance(error, SystemExit) else 0)
+        raise error.with_traceback(None)
+
+    def later(error: BaseException, latest: float) -> None:
+        signal.signal(signal.SIGALRM, lambda _, frame: say(error, frame, latest))
+        signal.setitimer(signal.ITIMER_REAL, 0.01)
 
     def again(lost: sys.UnraisableHookArgs) -> None:
-        error = lost.exc_value
-        if (not isinstance(error, SystemExit | KeyboardInterrupt)
-                or threading.current_thread() is not threading.main_thread()):
+        if (isinstance(lost.exc_value, SystemExit | KeyboardInterrupt)
+                and threading.current_thread() is threading.main_thread()):
+            later(lost.exc_value, time.monotonic() + _CLEAN_UP_S)
+        else:
             ignored(lost)
-            return
-
-        def once_more(*_: object) -> None:
-            signal.signal(signal.SIGALRM, signal.SIG_DFL)
-            signal.alarm(_CLEAN_UP_S if isinstance(error, SystemExit) else 0)
-            raise error.with_traceback(None)
-        signal.signal(signal.SIGALRM, once_more)
-        signal.setitimer(signal.ITIMER_REAL, 0.01)
 
     sys.unraisablehook = again
     # `nohup` ignores one of them.
-    before = {one: signal.signal(one, end) for one in signals
-              if signal.getsignal(one) == signal.SIG_DFL}
+    before = {one: signal.signal(one, end) for one in (*signals, signal.SIGINT)
+              if signal.getsignal(one) in (signal.SIG_DFL, signal.default_int_handler)}
     try:
         yield
     finally:
@@ -180,3 +188,10 @@ def _cleaned_up_on(*signals: int) -> Iterator[None]:
         sys.unraisablehook = ignored
         for one, handler in before.items():
             signal.signal(one, handler)
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Return whether a module is being imported in this frame or in one that waits for it."""
+    while frame and frame.f_code.co_filename != '<frozen importlib._bootstrap>':
+        frame = frame.f_back
+    return frame is not None

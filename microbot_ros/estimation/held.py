@@ -104,6 +104,8 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
     if len(steps) < FEWEST_FRAMES or not swum.any():
         return False
     c = response(steps, swum)
+    # A reading that errs outwards is followed by a step inwards; the one before has its own error.
+    z = np.append(z[:1], z[:-1])
     breadth = BORDER * float(np.sqrt(np.mean(np.abs(steps - c * swum) ** 2) / 2))
     out = np.ascontiguousarray((NORMALS.conj()[:, None] * z).real)
     outer = round((1 - INNER) * (len(z) - 1))
@@ -121,12 +123,16 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
     along, way = (steps / (1j * normal)).real, swum / (1j * normal)
     moved, ways = np.append(along, (steps / normal).real[free]), np.append(way, 1j * way[free])
     columns = np.stack([ways.real, -ways.imag], axis=1)
-    found = np.linalg.lstsq(columns, moved, rcond=1e-6)[0]
+    inverse = np.linalg.pinv(columns, rcond=1e-6)
+    found = inverse @ moved
     towards = (complex(*found) * swum / normal).real
     if towards[there].sum() < 0:
         normal, towards = -normal, -towards
     pressed = there & (towards > 0)
-    spread = float(np.std(along - columns[:len(along)] @ found)) * np.sqrt(pressed.sum())
+    into = (swum[pressed] / normal).sum()
+    weights = np.array([into.real, -into.imag]) @ inverse  # of what moved, in what is expected
+    noise = float(np.std(along - columns[:len(along)] @ found))
+    spread = noise * np.sqrt(pressed.sum() + weights @ weights)
     expected, gone = towards[pressed].sum(), (steps[pressed] / normal).real.sum()
     pushes = np.bincount(legs[pressed] - legs[0], towards[pressed])
     return bool(np.count_nonzero(pushes > 2 * breadth) >= LEGS and gone < HELD * expected

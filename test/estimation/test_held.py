@@ -7,7 +7,7 @@ import pytest
 
 from microbot_ros.common.records import Conditions
 from microbot_ros.estimation import held as held_module
-from microbot_ros.estimation.held import LOOK, HeldWatch
+from microbot_ros.estimation.held import LOOK, HeldWatch, _legs, is_held
 from microbot_ros.estimation.online.estimator import Estimator
 from microbot_ros.estimation.swimming import Swimming
 
@@ -94,6 +94,25 @@ def test_who_swims_freely_is_never_held(direction, flow, seed):
     told = swim(40.0, direction, flow=flow, seed=seed)
     assert held(told) == []
     assert np.isfinite(told[-1][1])
+
+
+@pytest.mark.parametrize('spread', [0.0, 0.1])
+def test_who_is_kept_in_place_by_readings_that_err_is_never_held(spread):
+    """Each command leads back to 0 along x from where the particle seems to be.
+
+    The error of a reading at the edge goes with the step after it, and one direction of command
+    hardly tells c.
+    """
+    for seed in range(300):
+        random = np.random.default_rng(seed)
+        place, read, swum = 0j, [], []
+        for _ in range(121):
+            read.append(place + 3e-7 * complex(*random.normal(size=2)))
+            angle = np.pi * (read[-1].real > 0) + spread * random.normal()
+            swum.append(0.1 * np.exp(1j * angle))
+            place += SPEED * swum[-1] + 9e-8 * complex(*random.normal(size=2))
+        z, swum = np.array(read), np.array(swum[:-1])
+        assert not is_held(z[:-1], np.diff(z), swum, _legs(np.angle(swum)))
 
 
 @pytest.mark.parametrize('seed', SEEDS)
