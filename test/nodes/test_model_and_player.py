@@ -171,11 +171,11 @@ def test_a_listener_that_keeps_all_is_waited_for(
 def test_a_loop_begins_again(ros: Any, session: Path) -> None:
     graph, stamps, clock = play(ros, session, rate=50.0, start_s=11.0, loop=True)
     node = graph.add('player')
-    graph.until(lambda: len(stamps) > 70)
+    # The clock is sent every so often, however long the loops take.
+    graph.until(lambda: len(stamps) > 70 and (np.diff(clock) < 0).any())
     assert not node.finished
     assert set(np.round(np.multiply(stamps, 30)).astype(int)) == set(range(330, 361))
     assert min(np.diff(stamps)) < -0.9
-    assert min(np.diff(clock)) < 0
 
 
 def test_rate_and_place_change_while_it_plays(ros: Any, session: Path) -> None:
