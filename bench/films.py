@@ -164,13 +164,19 @@ def _followed(film: Look) -> Seen:
     settings = film.settings
     images = [frame.image for frame, _ in zip(film.recording.frames(), range(10), strict=False)]
     tracker = Tracker(settings, None if settings.kinds else learn(images, settings))
+    return _tracked(tracker, ((frame.index, frame.image, frame.t)
+                              for frame in film.recording.frames()))
+
+
+def _tracked(tracker: Tracker, frames: Iterable[tuple[int, np.ndarray, float]]) -> Seen:
+    """What a tracker sees in frames, with where a particle was before it was confirmed."""
     seen: Seen = {}
-    for frame in film.recording.frames():
-        poses = tracker.update(frame.image, frame.t)
-        seen[frame.index] = poses.id[poses.seen], poses.xy[poses.seen]
+    for index, image, t in frames:
+        poses = tracker.update(image, t)
+        seen[index] = poses.id[poses.seen], poses.xy[poses.seen]
         names, before = tracker.before_named
         for k in range(before.shape[1] if len(names) else 0):
-            at = frame.index - before.shape[1] + k
+            at = index - before.shape[1] + k
             if at in seen:
                 seen[at] = (np.append(seen[at][0], names), np.vstack([seen[at][1], before[:, k]]))
     return seen
@@ -279,10 +285,7 @@ def _textures() -> list[Figure]:
     wrong = found[np.linalg.norm(found[:, None] - film.truth[0], axis=2).min(axis=1) > 12]
     gap = [Point(0, *wrong[0].tolist())] if len(wrong) else []
     settings, _ = pointed(TrackerSettings(), [robot], gap, {0: first}, samples)
-    tracker, seen = Tracker(settings), {}
-    for t, frame in enumerate(film.frames):
-        poses = tracker.update(frame, t / 30)
-        seen[t] = poses.id[poses.seen], poses.xy[poses.seen]
+    seen = _tracked(Tracker(settings), ((t, frame, t / 30) for t, frame in enumerate(film.frames)))
     truth = [(np.arange(film.truth.shape[1]), places) for places in film.truth]
     ours = scores(truth, _shown(seen, range(len(truth))), 5.0)
     places = _located(film.frames, 13)
