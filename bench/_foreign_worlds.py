@@ -14,7 +14,8 @@ import openpyxl
 from bench._judge_cases import Case
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.model.physics.particle import Fluid, translational_diffusion
-from microbot_ros.model.physics.vectors import unit
+from microbot_ros.model.physics.vectors import as_complex, as_vectors, unit
+from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.record_session import as_tracks
 
 PYTHON = Path('out/foreign/bin/python')
@@ -88,33 +89,32 @@ def _session(case: Case, tracks: Tracks, commands: Commands) -> Session:
 def _follow_curves(case: Case) -> Session:
     """Let robots roll as fast as a laboratory measured, or without an effect in proportion.
 
-    Between two frequencies of the table there is none: those commanded are of the table.
+    Only frequencies of the table are commanded.
     """
     rng = np.random.default_rng(case.seed)
     frequencies, speeds = _curves(_TABLES / _CURVES[case.kind])
     if not case.effects:
         speeds = np.outer(frequencies, np.mean(speeds / frequencies[:, None], axis=0))
-    begin = np.concatenate(([0.0], np.cumsum(rng.uniform(1.5, 4.0, 60))))
-    begin = begin[begin < _SECONDS]
-    direction = rng.uniform(-np.pi, np.pi, len(begin))
-    chosen = rng.integers(len(frequencies), size=len(begin))
+    commands = steps(rng, _SECONDS, _FIELD, (1.5, 4.0), frequency=frequencies)
+    assert commands.frequency is not None
     t, step = np.arange(_SECONDS * _RATE) / _RATE, 1 / (_RATE * _STEPS)
-    row = np.searchsorted(begin, (np.arange(_SECONDS * _RATE * _STEPS) + 0.5) * step) - 1
-    aim = direction[row][:, None] + rng.uniform(-np.pi, np.pi, speeds.shape[1])
-    moved = step * speeds[chosen[row]] * np.exp(1j * aim)
+    row = commands.index_at((np.arange(_SECONDS * _RATE * _STEPS) + 0.5) * step)
+    velocity = as_complex(commands.field / _FIELD)[:, None] * speeds[
+        np.searchsorted(frequencies, commands.frequency)]
+    turned = np.exp(1j * rng.uniform(-np.pi, np.pi, speeds.shape[1]))
+    moved = step * turned * velocity[row]
     moved += np.sqrt(2 * _DIFFUSION * step) * (rng.standard_normal((*moved.shape, 2)) @ [1, 1j])
     place = np.cumsum(moved, axis=0)[::_STEPS] + 100e-6 * np.arange(speeds.shape[1])
-    position = np.stack([place.real, place.imag], axis=-1)
+    position = as_vectors(place)
     position += _LOCALISATION * rng.standard_normal(position.shape)
-    return _session(case, as_tracks(t, position), Commands(
-        begin, _FIELD * unit(direction), frequencies[chosen]))
+    return _session(case, as_tracks(t, position), commands)
 
 
 def _curves(table: Path) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (F,) [Hz] and speeds (F, N) [m/s] of the robots measured at all of them.
 
-    Speeds are a parabola in logarithms through those of the table, whose neighbours scatter by
-    some 6 %: its means are over windows in which robots turn.
+    log v is a parabola in log f, fitted to the table: there v scatters by some 6 % from one
+    frequency to the next, since its means are over times in which robots also turn.
     """
     sheet = openpyxl.load_workbook(table, read_only=True, data_only=True).worksheets[0]
     rows = np.array([row[:6] for row in sheet.iter_rows(min_row=2, values_only=True)], float)

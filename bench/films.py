@@ -318,9 +318,9 @@ def _located(frames: Iterable[np.ndarray], diameter: int, least: float = 0.0) ->
 
 
 def _locate(image: np.ndarray, diameter: int, least: float = 0.0) -> Any:
-    """Table of what trackpy locates, above 15 px in a picture halved until that is its diameter.
+    """Table of what trackpy locates; above `_LARGEST`, in a picture that is halved until it fits.
 
-    In whole pictures of 2 Mpx that takes 14 to 80 s a frame.
+    Otherwise it takes 14 to 80 s for a frame of 2 Mpx.
     """
     import trackpy
 

@@ -139,10 +139,11 @@ def _failed(who: str, sentence: str, status: int) -> int:
 def _cleaned_up_on(*signals: int) -> Iterator[None]:
     """Raise SystemExit at the first of the signals, so that no folder stays half filled.
 
-    KeyboardInterrupt is raised as always, but neither of them during an import: the modules in C
-    that it loads swallow exceptions. Where C calls Python, as llvmlite and weak references do, an
-    exception is ignored: it is raised again 10 ms later. The process ends within `_CLEAN_UP_S` in
-    any case: a library in C may swallow the exception. Forked workers end at once.
+    KeyboardInterrupt is raised at every SIGINT. During an import both wait for its end, at most
+    `_CLEAN_UP_S`, since modules in C may swallow exceptions while they load. Where C calls Python,
+    as llvmlite and weak references do, an exception is ignored: it is raised again 10 ms later.
+    `_CLEAN_UP_S` after SystemExit the process ends in any case: a library in C may swallow that
+    too. Forked workers end at once.
     """
     ours = os.getpid()
     ignored = sys.unraisablehook
@@ -151,12 +152,13 @@ def _cleaned_up_on(*signals: int) -> Iterator[None]:
         if os.getpid() != ours:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
-        elif number == signal.SIGINT:
-            say(KeyboardInterrupt(), frame, time.monotonic() + _CLEAN_UP_S)
-        else:
+            return
+        error: BaseException = KeyboardInterrupt()
+        if number != signal.SIGINT:
+            error = SystemExit(128 + number)
             for one in before:
                 signal.signal(one, signal.SIG_IGN)
-            say(SystemExit(128 + number), frame, time.monotonic() + _CLEAN_UP_S)
+        say(error, frame, time.monotonic() + _CLEAN_UP_S)
 
     def say(error: BaseException, frame: FrameType | None, latest: float) -> None:
         if _imports(frame) and time.monotonic() < latest:

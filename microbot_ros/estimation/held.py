@@ -104,7 +104,8 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
     if len(steps) < FEWEST_FRAMES or not swum.any():
         return False
     c = response(steps, swum)
-    # A reading that errs outwards is followed by a step inwards; the one before has its own error.
+    # The step after a reading that errs outwards goes inwards, so that the place is taken from the
+    # reading before.
     z = np.append(z[:1], z[:-1])
     breadth = BORDER * float(np.sqrt(np.mean(np.abs(steps - c * swum) ** 2) / 2))
     out = np.ascontiguousarray((NORMALS.conj()[:, None] * z).real)

@@ -19,8 +19,8 @@ Choice: without it, unlikely wide hypotheses dominate the variance.
 LEAST_SHARE = 0.001
 """Least probability of "c wanders" and of "c is constant", relative to the likeliest hypothesis.
 
-Choice: with 0.01 the spread holds a falling speed in 82 instead of 78 % of the time, and a
-constant one is known less well, by 7 instead of 0.5 %.
+Choice: with 0.01 the spread contains a falling speed in 82 instead of 78 % of the time, but the
+error of a constant speed is 7 instead of 0.5 % larger.
 """
 
 
