@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parent / 'harness'))
 
 from domains import own_domain
+from hung import Hung
 from retries import Retries
 from warm import CACHE
 
@@ -78,7 +79,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Retry where that is asked for."""
+    """End what hangs; retry where that is asked for."""
+    config.pluginmanager.register(Hung())
     if most := config.getoption('--retries'):
         config.pluginmanager.register(Retries(most))
 

@@ -114,3 +114,48 @@ def test_where_all_should_be_there_a_skip_is_a_failure(
     done = run(tmp_path, '-q', '-p', 'conftest', 'test_some.py', PYTHONPATH=str(HERE), **variables)
     assert done.stdout.splitlines()[-1].startswith(summary), done.stdout
     assert done.returncode == ('skipped' not in summary or 'error' in summary)
+
+
+HANGS = """
+import subprocess
+import sys
+import pytest
+
+@pytest.fixture
+def waits():
+    child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'])
+    yield
+    child.wait()
+
+@pytest.mark.timeout(0.5)
+def test_hangs_at_its_end(waits):
+    raise RuntimeError
+
+def test_is_reached():
+    pass
+"""
+HANGING = f"""
+import sys
+sys.path.insert(0, {str(HERE / 'harness')!r})
+from hung import Hung
+
+def pytest_configure(config):
+    config.pluginmanager.register(Hung(1.0))
+"""
+
+
+@pytest.mark.rig
+def test_a_clean_up_that_hangs_is_told_and_ended(tmp_path: Path) -> None:
+    """Pytest prints no stacks after an exception, and its time-out raises one only once."""
+    file = tmp_path / 'test_some.py'
+    file.write_text(HANGS)
+    (tmp_path / 'conftest.py').write_text(HANGING)
+    done = run(tmp_path, '-q', '--timeout', '60', 'test_some.py')
+    assert done.stdout.splitlines()[-1].startswith('1 failed, 1 passed')
+    assert 'test_hangs_at_its_end hangs; its children are killed' in done.stderr
+    assert 'line 10 in waits' in done.stderr
+    # What is no child's fault ends the suite.
+    file.write_text(HANGS.replace('child.wait()', 'import time; time.sleep(600)'))
+    done = run(tmp_path, '-q', '--timeout', '60', 'test_some.py')
+    assert done.returncode == 1
+    assert done.stderr.count('line 10 in waits') == 2

@@ -11,6 +11,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +23,9 @@ from stolen import Processors
 
 LEDGER = Path('out/retries.json')
 
+_BUDGET_S = 1200.0
+"""For all retries. Choice: as long as the suite may take; where more fails, something is broken."""
+
 
 class Retries:
     """Reruns of failed tests, at most `most` of each."""
@@ -29,6 +33,7 @@ class Retries:
     def __init__(self, most: int) -> None:
         self._most = most
         self._ran = 0
+        self._left_s = _BUDGET_S
         self._held: list[tuple[pytest.Item, list[pytest.TestReport], str]] = []
         self._ledger: list[dict[str, Any]] = []
 
@@ -64,16 +69,17 @@ class Retries:
         first = next(report for report in reports if report.failed)
         self._note(item, 1, False, first.duration, machine, first)
         for number in range(2, self._most + 2):
+            if self._left_s < 0:
+                self._note(item, number, False, 0.0, '', 'no time is left to run it again')
+                break
             begin = time.monotonic()
             with Processors() as processors:
-                done = subprocess.run(
-                    [sys.executable, '-m', 'pytest', '-m', '', '-p', 'no:xdist', item.nodeid],
-                    cwd=item.config.rootpath, capture_output=True, text=True,
-                    env={**os.environ, 'PYTEST_ADDOPTS': ''})
-            last = done.stdout.rstrip().rpartition('\n')[2]
+                status, last = _alone(item)
             # A test that is skipped the second time has not passed.
-            passed = done.returncode == 0 and ' passed' in f' {last}'
-            self._note(item, number, passed, time.monotonic() - begin, str(processors), last)
+            passed = status == 0 and ' passed' in f' {last}'
+            spent_s = time.monotonic() - begin
+            self._left_s -= spent_s
+            self._note(item, number, passed, spent_s, str(processors), last)
             if passed:
                 return True
         return False
@@ -101,6 +107,20 @@ class Retries:
         retried = len({entry['test'] for entry in self._ledger})
         terminalreporter.write_line(
             f'{retried} of {self._ran} tests were run again; ledger: {LEDGER}')
+
+
+def _alone(item: pytest.Item) -> tuple[int, str]:
+    """Run a test in a process of its own; its status and the last line that it printed.
+
+    It prints to a file: a pipe has no end while a grandchild that was left behind holds it.
+    """
+    with tempfile.TemporaryFile('w+') as printed:
+        status = subprocess.call(
+            [sys.executable, '-m', 'pytest', '-m', '', '-p', 'no:xdist', item.nodeid],
+            cwd=item.config.rootpath, stdout=printed, stderr=subprocess.DEVNULL,
+            env={**os.environ, 'PYTEST_ADDOPTS': ''})
+        printed.seek(0)
+        return status, printed.read().rstrip().rpartition('\n')[2]
 
 
 def _log(item: pytest.Item, reports: list[pytest.TestReport]) -> None:

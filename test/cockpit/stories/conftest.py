@@ -21,6 +21,31 @@ FLAGS = ['--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
          '--disable-background-networking', '--disable-component-update', '--disable-sync']
 
 
+class Browser:
+    """Chromium; one that has crashed is started again for the next test."""
+
+    def __init__(self, chromium: Any) -> None:
+        self._chromium = chromium
+        self._started = self._start()
+
+    def _start(self) -> Any:
+        return self._chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+
+    def new_context(self, **kind: Any) -> Any:
+        """A window with storage of its own; keywords are Playwright's."""
+        if not self.is_connected():
+            self._started = self._start()
+        return self._started.new_context(**kind)
+
+    def is_connected(self) -> bool:
+        """Whether it runs."""
+        return bool(self._started.is_connected())
+
+    def close(self) -> None:
+        """End it."""
+        self._started.close()
+
+
 @pytest.fixture(scope='session')
 def browser() -> Iterator[Any]:
     """Debian's Chromium without a screen, driven by Playwright."""
@@ -28,9 +53,9 @@ def browser() -> Iterator[Any]:
     if CHROMIUM is None:
         pytest.skip('there is no chromium here')
     with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield chromium
-        chromium.close()
+        started = Browser(driver.chromium)
+        yield started
+        started.close()
 
 
 @pytest.fixture
