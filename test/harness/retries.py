@@ -24,7 +24,7 @@ from stolen import Processors
 LEDGER = Path('out/retries.json')
 
 _BUDGET_S = 1200.0
-"""For all retries. Choice: as long as the suite may take; where more fails, something is broken."""
+"""For all retries. Choice: what the suite may take; where more fails, something is broken."""
 
 
 class Retries:
