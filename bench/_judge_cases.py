@@ -12,18 +12,24 @@ from pathlib import Path
 
 import numpy as np
 
-from bench._hidden_effects import LISTED
+from bench._hidden_effects import LISTED, Parameters
 from bench._hidden_suite import COMMANDS, FLUID, Blind, blind
 from bench._nuisances import NUISANCES, differing_sizes
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import write_text
 from microbot_ros.common.records import Session
+from microbot_ros.common.units import to_si
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.report.page import write_report
+from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.io.model_file import write_model
 
 EVIDENCE = 100.0
-"""λ of an effect in the session without the nuisance: at 40 one in ten would be missed anyway."""
+"""λ of an effect in the session without the nuisance: at 40 one in ten would be missed anyway.
+
+It is more where the effect would be below ABOVE_FLOOR times the floor of the instrument, since it
+must not be named there."""
+ABOVE_FLOOR = 2.0
 _FIRST_SEEDS = {'tuning': 200_000, 'checking': 300_000}
 
 
@@ -149,9 +155,19 @@ def _case(family: str, kind: str, effect: str, turn: int) -> Case:
 
 
 def _film(case: Case) -> Session:
-    drawn = blind(case.seed, case.commands, case.effects, EVIDENCE if case.effects else 0.0,
-                  count=_count(case))
+    evidence = EVIDENCE if case.effects else 0.0
+    while True:
+        drawn = blind(case.seed, case.commands, case.effects, evidence, count=_count(case))
+        if not any(_is_near_floor(*one) for one in drawn.hidden.items()):
+            break
+        evidence *= ABOVE_FLOOR**2
     return with_nuisance(drawn, case.kind, case.seed) if case.kind else drawn.session
+
+
+def _is_near_floor(name: str, parameters: Parameters) -> bool:
+    kind = EFFECTS[name]
+    return all(abs(to_si(p.name, parameters[p.name]) - p.null_value) < ABOVE_FLOOR * p.floor
+               for p in kind.parameters() if not p.shape)
 
 
 def _count(case: Case) -> int | None:

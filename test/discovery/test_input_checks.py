@@ -160,20 +160,94 @@ def test_one_particle_and_a_constant_command_are_remarked(film):
     assert none == ()
 
 
-def test_confused_tracks_are_cut_and_told(film):
-    """Two tracks exchanged half-way: each jumps, and goes on as another particle."""
+def exchanged(session, at_s):
+    """Tracks of two particles confused from a time on."""
+    tracks = session.tracks
+    particle = np.where(tracks.t > at_s, 1 - tracks.particle, tracks.particle)
+    order = np.lexsort((particle, tracks.t))
+    return replace(session, tracks=replace(
+        tracks, particle=particle[order], position=tracks.position[order]))
+
+
+def test_exchanged_tracks_are_exchanged_back_and_told(film):
+    session, _ = film(3, count=2, duration=10.0)
+    (prepared,), remarks = check_sessions([exchanged(session, 5.0)])
+    whole, = check_sessions([session])[0]
+    assert prepared.jumps.sum() == 0
+    np.testing.assert_array_equal(prepared.z, whole.z)
+    told, = (remark for remark in remarks if 'swapped' in remark)
+    assert 'particles 0 and 1 exchange places at 5.05 s' in told
+    # Once more, and all is as it was.
+    twice, = check_sessions([exchanged(exchanged(session, 5.0), 7.0)])[0]
+    np.testing.assert_array_equal(twice.z, whole.z)
+    # Experiments that were joined hold other particles.
+    parted, = check_sessions([replace(exchanged(session, 5.0), breaks=np.array([5.02]))])[0]
+    assert not any('swapped' in one for one in parted.settled)
+
+
+def test_tracks_that_jump_far_are_cut_and_go_on_as_others(film):
     session, _ = film(3, count=2, duration=10.0)
     tracks = session.tracks
-    particle = np.where(tracks.t > 5.0, 1 - tracks.particle, tracks.particle)
-    order = np.lexsort((particle, tracks.t))
-    swapped = replace(tracks, particle=particle[order], position=tracks.position[order])
-    (prepared,), remarks = check_sessions([replace(session, tracks=swapped)])
+    away = np.array([[5e-5, 0.0], [0.0, 5e-5]])[tracks.particle] * (tracks.t > 5.0)[:, None]
+    (prepared,), remarks = check_sessions(
+        [replace(session, tracks=replace(tracks, position=tracks.position + away))])
     assert prepared.jumps.sum() == 2
     assert list(prepared.ids) == [0, 0, 1, 1]
     assert (prepared.seen.sum(axis=0) > 90).all()
     assert any('2 steps are longer than the motion' in remark for remark in remarks)
-    told, = (remark for remark in remarks if 'swapped' in remark)
-    assert 'particles 0 and 1 exchange places at 5.05 s' in told
+
+
+def broken(session, gap_s, at_s=(4.0, 5.0, 6.0)):
+    """Each track gets a new name after a gap."""
+    tracks = session.tracks
+    at = np.array(at_s)[tracks.particle]
+    later = tracks.t >= at + gap_s
+    kept = (tracks.t < at) | later
+    named = replace(tracks, particle=np.where(later, tracks.particle + 10, tracks.particle))
+    order = np.lexsort((named.particle[kept], named.t[kept]))
+    return replace(session, tracks=named.rows(kept).rows(order))
+
+
+def test_broken_tracks_are_joined_and_told(film):
+    session, _ = film(3, count=3, duration=10.0)
+    (prepared,), remarks = check_sessions([broken(session, 0.3)])
+    assert list(prepared.ids) == [0, 1, 2]
+    assert any('3 tracks begin where another ended at most 1 s before, with no other near: joined '
+               '(10 to 0, 11 to 1, 12 to 2)' in remark for remark in remarks)
+    whole, = check_sessions([session])[0]
+    seen = prepared.seen
+    np.testing.assert_array_equal(prepared.z[seen], whole.z[seen])
+    assert np.isnan(prepared.causal_positions[~seen]).all()
+
+
+@pytest.mark.parametrize('change', ['too late', 'elsewhere', 'another near', 'another experiment'])
+def test_tracks_are_not_joined_where_there_is_doubt(film, change):
+    session, _ = film(3, count=3, duration=10.0)
+    session = broken(session, 1.1 if change == 'too late' else 0.3)
+    tracks, away = session.tracks, np.zeros(2)
+    if change == 'elsewhere':
+        away = np.array([3e-5, 0.0])
+    if change == 'another near':  # a second one begins beside each
+        late = tracks.rows(tracks.particle >= 10)
+        joined = [np.concatenate([getattr(tracks, name), getattr(late, name)])
+                  for name in ('t', 'particle', 'position', 'theta', 'sigma')]
+        joined[1][len(tracks.t):] += 10
+        joined[2][len(tracks.t):] += 3e-6
+        tracks = type(tracks)(*joined).rows(np.lexsort((joined[1], joined[0])))
+    moved_tracks = replace(
+        tracks, position=tracks.position + away * (tracks.particle >= 10)[:, None])
+    breaks = np.array([4.05, 5.05, 6.05] if change == 'another experiment' else [])
+    prepared, = check_sessions([replace(session, tracks=moved_tracks, breaks=breaks)])[0]
+    assert {0, 1, 2, 10, 11, 12} <= set(prepared.ids.tolist())
+    assert not prepared.settled
+
+
+def test_frames_that_are_lost_part_no_track(film):
+    """In 1.5 s particles go thirty times as far as in a frame."""
+    session, _ = film(3, count=3, duration=10.0)
+    lost = (session.tracks.t > 4.0) & (session.tracks.t < 5.5)
+    prepared, = check_sessions([replace(session, tracks=session.tracks.rows(~lost))])[0]
+    assert list(prepared.ids) == [0, 1, 2]
 
 
 def disturbed(session, size, seed=5):
