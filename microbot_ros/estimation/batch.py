@@ -137,7 +137,7 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     if best is not plain:
         noise = best.noise(exposure)
     speeds = best.polar().widened(delay.felt(slope)).of(best.session.main)
-    warnings = [*session.remarks, *_steps(best), *excited.sentences]
+    warnings = [*session.remarks, *prepared.settled, *_steps(best), *excited.sentences]
     if ('φ', 'delay') in excited.pairs:
         warnings.append(
             f'φ is stated for no delay; every 0.1 s of delay would add '

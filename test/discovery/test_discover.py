@@ -153,10 +153,10 @@ def test_a_swap_of_unlike_particles_stands_in_for_nothing(film):
     """One fit for both halves of each track would find that speeds and angles change."""
     session, truth = film(51, duration=60.0)
     found = discover([exchanged(session, 30.0)])
+    assert found.verdict == 'consistent'
     assert not found.effects
-    assert [m.against for m in found.unexplained] == ['single steps']
-    for particle, bodies in zip(found.baseline, ((0, 1), (0, 1), (2,)), strict=True):
-        assert any(particle.speed.low < truth['speed'][n] < particle.speed.high for n in bodies)
+    for particle, speed in zip(found.baseline, truth['speed'], strict=True):
+        assert particle.speed.low < speed < particle.speed.high
 
 
 @pytest.mark.soak

@@ -123,6 +123,20 @@ def test_a_jump_is_left_out_and_said():
     assert sum('too large for diffusion' in text for text in result.warnings) == 3
 
 
+def test_a_broken_track_is_one_particle():
+    session, gain = experiment(3)
+    tracks, lost = session.tracks, (14.8 < session.tracks.t) & (session.tracks.t < 15.2)
+    tracks = tracks.rows(~lost | (tracks.particle > 0))
+    named = np.where((tracks.particle == 0) & (tracks.t > 15), 7, tracks.particle)
+    order = np.lexsort((named, tracks.t))
+    broken = replace(session, tracks=replace(tracks, particle=named).rows(order))
+    result, whole = fit(broken), fit(session)
+    assert list(result.ids) == list(whole.ids)
+    assert len(result.legs) == len(whole.legs)
+    np.testing.assert_allclose(result.polar.speed, np.abs(gain), rtol=0.08)
+    assert any('joined (7 to 0)' in text for text in result.warnings)
+
+
 def test_without_commands_there_is_noise_but_no_speed():
     session, _ = experiment(4, seconds=8.0)
     result = fit(Session(session.tracks, Commands(np.empty(0), np.empty((0, 2))), CONDITIONS))

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from microbot_ros.common.records import Session
+
 JUMP = 6.0
 """Ratio to the 99th percentile above which a step is no motion.
 
@@ -32,35 +34,37 @@ suspension stay broken, with a smaller one strangers are joined.
 """
 
 
-def settle_identities(times: np.ndarray, part: np.ndarray, z: np.ndarray, ids: np.ndarray,
-                      ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return tracks whose particles keep their identities, as far as positions decide.
+def settled_grid(session: Session) -> tuple[
+        np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return the tracks of a session, whose particles keep their identities if positions decide.
 
     Parameters
     ----------
-    times : ndarray, shape (T,)
-        Times of frames [s].
-    part : ndarray of int, shape (T,)
-        Part of the session that each frame belongs to. Nothing is decided across parts.
-    z : ndarray of complex, shape (T, N)
-        Positions [m]; NaN where a particle is not seen.
-    ids : ndarray, shape (N,)
-        Identities.
+    session : Session
+        The recording.
 
     Returns
     -------
-    z : ndarray of complex, shape (T, M)
-        Positions of M ≤ N particles.
-    ids : ndarray, shape (M,)
-        Their identities: of joined tracks that of the first.
+    times : ndarray, shape (T,)
+        Times of frames [s].
+    part : ndarray of int, shape (T,)
+        Part of the session between its breaks that each frame belongs to, numbered from 1. Nothing
+        is decided across parts.
+    z : ndarray of complex, shape (T, N)
+        Positions [m]; NaN where a particle is not seen.
+    ids : ndarray, shape (N,)
+        Identities, ascending; of joined tracks that of the first.
     remarks : tuple of str
         Changes, in words.
     """
+    times, positions = session.tracks.grid()
+    z, ids = positions[..., 0] + 1j * positions[..., 1], session.tracks.particles
+    part = 1 + np.searchsorted(session.breaks, times, side='right')
     seen = np.isfinite(z)
-    if len(times) < 2 or not (seen[1:] & seen[:-1]).any():
-        return z, ids, ()
-    z = z.copy()
-    remarks = [*_exchange_back(times, part, z, ids)]
+    if not (seen[1:] & seen[:-1]).any():
+        return times, part, z, ids, ()
+    first = times[0]  # remarks tell times since then
+    remarks = [*_exchange_back(times - first, part, z, ids)]
     kept, joined = _join(times, part, z, ids)
     if joined:
         some = ', '.join(f'{late} to {early}' for early, late in joined[:5])
@@ -68,7 +72,7 @@ def settle_identities(times: np.ndarray, part: np.ndarray, z: np.ndarray, ids: n
             f'{len(joined)} track{" begins" if len(joined) == 1 else "s begin"} where another '
             f'ended at most {LONGEST_GAP:g} s before, with no other near: joined ({some}'
             f'{", …" if len(joined) > 5 else ""}).')
-    return np.ascontiguousarray(z[:, kept]), ids[kept], tuple(remarks)
+    return times, part, np.ascontiguousarray(z[:, kept]), ids[kept], tuple(remarks)
 
 
 def _exchange_back(times: np.ndarray, part: np.ndarray, z: np.ndarray, ids: np.ndarray,

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from microbot_ros.common.records import Commands, Conditions, Session
-from microbot_ros.estimation.likelihood.identities import JUMP, settle_identities
+from microbot_ros.estimation.likelihood.identities import JUMP, settled_grid
 from microbot_ros.estimation.likelihood.noise import stokes_einstein
 from microbot_ros.model.increments import as_vectors, heading_response
 from microbot_ros.model.model import Model, ParticleParameters
@@ -185,19 +185,16 @@ class PreparedSession:
         PreparedSession
             The frames, without any split.
         """
-        times, positions = session.tracks.grid()
+        times, part, z, ids, settled = settled_grid(session)
         first = times[0] if len(times) else 0.0
         times, commands = times - first, replace(session.commands, t=session.commands.t - first)
         start = first_field(commands)
         keep = times >= (start if np.isfinite(start) else -np.inf)
-        times, positions = times[keep], positions[keep]
-        part = 1 + np.searchsorted(session.breaks - first, times, side='right')
-        z, ids, settled = settle_identities(
-            times, part, positions[..., 0] + 1j * positions[..., 1], session.tracks.particles)
+        times, z = times[keep], z[keep]
         return cls(
-            session.name, ids, times, np.nan_to_num(z), np.where(np.isfinite(z), part[:, None], 0),
-            as_vectors(z), commands, session.conditions, np.zeros(z.shape[1], int),
-            settled=settled)
+            session.name, ids, times, np.nan_to_num(z),
+            np.where(np.isfinite(z), part[keep, None], 0), as_vectors(z), commands,
+            session.conditions, np.zeros(z.shape[1], int), settled=settled)
 
     @cached_property
     def seen(self) -> np.ndarray:
