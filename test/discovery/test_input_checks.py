@@ -181,6 +181,14 @@ def test_exchanged_tracks_are_exchanged_back_and_told(film):
     twice, = check_sessions([exchanged(exchanged(session, 5.0), 7.0)])[0]
     np.testing.assert_array_equal(twice.z, whole.z)
     # Experiments that were joined hold other particles.
+    first, second = exchanged(session, 5.0), session
+    at = session.tracks.t[-1] + 1.0
+    both = replace(first, breaks=np.array([at - 0.5]), tracks=type(session.tracks)(*(
+        np.concatenate([getattr(first.tracks, name), getattr(second.tracks, name) + at * (
+            name == 't')]) for name in ('t', 'particle', 'position', 'theta', 'sigma'))))
+    apart, = check_sessions([both])[0]
+    rows = apart.seen.any(axis=1)
+    np.testing.assert_array_equal(apart.z[rows][-len(whole.z):], whole.z)
     parted, = check_sessions([replace(exchanged(session, 5.0), breaks=np.array([5.02]))])[0]
     assert not any('swapped' in one for one in parted.settled)
 

@@ -82,12 +82,13 @@ def _exchange_back(times: np.ndarray, part: np.ndarray, z: np.ndarray, ids: np.n
     usual = float(np.nanquantile(steps, 0.99))
     both = (np.nan_to_num(steps) > JUMP * usual).sum(axis=1) > 1
     for k in np.flatnonzero(both & (np.diff(part) == 0)):
+        end = int(np.searchsorted(part, part[k], side='right'))
         for i in range(z.shape[1]):
             if not abs(z[k + 1, i] - z[k, i]) > JUMP * usual:  # nor where it is not seen
                 continue
             crossed = (np.abs(z[k + 1, i] - z[k]) <= usual) & (np.abs(z[k + 1] - z[k, i]) <= usual)
             for j in np.flatnonzero(crossed)[:1]:
-                z[k + 1:, [i, j]] = z[k + 1:, [j, i]]
+                z[k + 1:end, [i, j]] = z[k + 1:end, [j, i]]
                 one, other = sorted((ids[i], ids[j]))
                 yield (f'particles {one} and {other} exchange places at {times[k + 1]:.2f} s: '
                        'their tracks were swapped, and are exchanged back from there on.')
