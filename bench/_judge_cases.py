@@ -165,9 +165,8 @@ def _film(case: Case) -> Session:
 
 
 def _is_near_floor(name: str, parameters: Parameters) -> bool:
-    kind = EFFECTS[name]
     return all(abs(to_si(p.name, parameters[p.name]) - p.null_value) < ABOVE_FLOOR * p.floor
-               for p in kind.parameters() if not p.shape)
+               for p in EFFECTS[name].parameters() if p.name in parameters and not p.shape)
 
 
 def _count(case: Case) -> int | None:
