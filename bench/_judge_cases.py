@@ -165,8 +165,10 @@ def _film(case: Case) -> Session:
 
 
 def _is_near_floor(name: str, parameters: Parameters) -> bool:
-    return all(abs(to_si(p.name, parameters[p.name]) - p.null_value) < ABOVE_FLOOR * p.floor
-               for p in EFFECTS[name].parameters() if p.name in parameters and not p.shape)
+    floors = [p for p in EFFECTS[name].parameters() if p.floor and p.name in parameters]
+    return bool(floors) and all(
+        abs(to_si(p.name, parameters[p.name]) - p.null_value) < ABOVE_FLOOR * p.floor
+        for p in floors)
 
 
 def _count(case: Case) -> int | None:
