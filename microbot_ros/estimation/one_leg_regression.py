@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.common.records import Commands, Session
-from microbot_ros.estimation.likelihood.identities import settled_grid
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,8 @@ def one_leg(session: Session) -> list[Leg]:
     list of Leg
         One for each particle.
     """
-    times, _, z, _, _ = settled_grid(session)
+    times, positions = session.tracks.grid()
+    z = positions[..., 0] + 1j * positions[..., 1]
     rolling = session.conditions.propulsion == 'rolling'
     start, end, drive = _longest(session.commands, rolling, float(times[-1]), float(times[0]))
     inside = (times >= start) & (times <= end)

@@ -11,6 +11,7 @@ from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Session
 from microbot_ros.estimation.held import FEWEST_FRAMES, is_held
 from microbot_ros.estimation.likelihood.prepared_session import (
+    JUMP,
     PreparedSession,
     first_field,
     prepare,
@@ -204,12 +205,26 @@ def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
         yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than the motion '
                'before and after; tracks were cut there. Did the tracker slip, did the stage '
                'move?')
-    yield from (f'{e.name}: {one}' for one in e.settled)
+    yield from _swaps(e)
     if len(np.unique(e.ids)) == 1:
         yield (f'{e.name}: one particle. Effects between particles cannot be seen, and an effect '
                'on all particles cannot be distinguished from one on a single particle; record '
                'three or more.')
     yield from _idle(e)
+
+
+def _swaps(e: PreparedSession) -> Iterator[str]:
+    """Yield remarks on pairs of particles that exchange places between two frames."""
+    z = np.where(e.seen, e.z, np.nan)
+    steps = np.abs(np.diff(z, axis=0))
+    usual = float(np.nanquantile(steps, 0.99))
+    for k, i in zip(*np.nonzero(np.nan_to_num(steps) > JUMP * usual), strict=True):
+        crossed = (np.abs(z[k + 1, i] - z[k]) <= usual) & (np.abs(z[k + 1] - z[k, i]) <= usual)
+        for j in crossed.nonzero()[0]:
+            if i < j:
+                yield (f'{e.name}: particles {e.ids[i]} and {e.ids[j]} exchange places at '
+                       f'{e.times[k + 1]:.2f} s: their tracks are swapped. Exchange their ids '
+                       'from there on, or leave out the rest.')
 
 
 def _idle(e: PreparedSession) -> Iterator[str]:

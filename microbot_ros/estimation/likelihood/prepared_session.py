@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 
 from microbot_ros.common.records import Commands, Conditions, Session
-from microbot_ros.estimation.likelihood.identities import JUMP, settled_grid
 from microbot_ros.estimation.likelihood.noise import stokes_einstein
 from microbot_ros.model.increments import as_vectors, heading_response
 from microbot_ros.model.model import Model, ParticleParameters
@@ -49,6 +48,12 @@ CONTACT, BLUR = 1.05, 3.0
 usual steps (`BLUR`) added to it.
 
 Choice: larger values lose rows, smaller ones keep pushes between spheres."""
+
+JUMP = 6.0
+"""Ratio to the 99th percentile above which a step is no motion.
+
+Choice: 18 standard deviations of a Gaussian step; a smaller value splits tracks of uneven motion.
+"""
 
 NEAR, AROUND = 5, 51
 """Frames on either side of a step whose median velocity is the motion there, and frames (`AROUND`)
@@ -149,8 +154,6 @@ class PreparedSession:
         Whether the noise of every fit includes fluctuating speeds.
     interruptions : tuple of Interruption
         Stretches of time that were left out, since particles did not move as commanded.
-    settled : tuple of str
-        What was done about identities that the tracker lost, in words.
     """
 
     name: str
@@ -165,15 +168,13 @@ class PreparedSession:
     phi: np.ndarray | None = None
     speeds_fluctuate: bool = False
     interruptions: tuple[Interruption, ...] = ()
-    settled: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, session: Session) -> PreparedSession:
         """Prepare the frames of a session from the first field on.
 
         Headings are unknown before. Without any field, all frames are kept. Tracks are whole,
-        except at the breaks of the session. Identities that the tracker lost are settled where
-        positions decide.
+        except at the breaks of the session.
 
         Parameters
         ----------
@@ -185,16 +186,18 @@ class PreparedSession:
         PreparedSession
             The frames, without any split.
         """
-        times, part, z, ids, settled = settled_grid(session)
+        times, positions = session.tracks.grid()
         first = times[0] if len(times) else 0.0
         times, commands = times - first, replace(session.commands, t=session.commands.t - first)
         start = first_field(commands)
         keep = times >= (start if np.isfinite(start) else -np.inf)
-        times, z = times[keep], z[keep]
+        times, positions = times[keep], positions[keep]
+        z = positions[..., 0] + 1j * positions[..., 1]
+        part = 1 + np.searchsorted(session.breaks - first, times, side='right')
         return cls(
-            session.name, ids, times, np.nan_to_num(z),
-            np.where(np.isfinite(z), part[keep, None], 0), as_vectors(z), commands,
-            session.conditions, np.zeros(z.shape[1], int), settled=settled)
+            session.name, session.tracks.particles, times, np.nan_to_num(z),
+            np.where(np.isfinite(z), part[:, None], 0),
+            positions, commands, session.conditions, np.zeros(z.shape[1], int))
 
     @cached_property
     def seen(self) -> np.ndarray:
@@ -313,10 +316,7 @@ class PreparedSession:
         both = self.joined()
         steps = np.where(both, np.abs(np.diff(self.z, axis=0)), 0.0)
         usual = np.quantile(steps[both], 0.99) if both.any() else 0.0
-        # In the frames that are lost it goes on as before.
-        lost = np.maximum(np.diff(self.times) / self.interval - 1, 0.0)[:, None]
-        jumped = np.concatenate([
-            np.zeros((1, self.z.shape[1]), bool), steps > (JUMP + lost) * usual])
+        jumped = np.concatenate([np.zeros((1, self.z.shape[1]), bool), steps > JUMP * usual])
         if not jumped.any():
             return self
         number = np.cumsum(jumped, axis=0)
@@ -516,8 +516,6 @@ def _stands_out(steps: np.ndarray, intervals: np.ndarray) -> np.ndarray:
 
     Explained are all steps between those before and after, and all between the median velocities
     of NEAR frames before and after, since commands switch between frames; `intervals` (T,) [s].
-    While more than NEAR frames are lost, commands may turn at will: there all steps are explained
-    that are no faster than before or after.
     """
     result = np.zeros(len(steps), bool)
     seen = np.flatnonzero(np.isfinite(steps))
@@ -528,13 +526,9 @@ def _stands_out(steps: np.ndarray, intervals: np.ndarray) -> np.ndarray:
     windows = np.lib.stride_tricks.sliding_window_view(padded, NEAR)
     medians = np.median(windows.real, axis=1) + 1j * np.median(windows.imag, axis=1)
     count = len(velocity)
-    before, after = medians[:count], medians[NEAR + 1:NEAR + 1 + count]
     away = intervals[seen] * np.minimum(
-        _distance(velocity, before, after),
+        _distance(velocity, medians[:count], medians[NEAR + 1:NEAR + 1 + count]),
         _distance(velocity, padded[NEAR - 1:NEAR - 1 + count], padded[NEAR + 1:][:count]))
-    lost = intervals[seen] > NEAR * np.median(intervals)
-    faster = np.abs(velocity) - np.maximum(np.abs(before), np.abs(after))
-    away[lost] = np.minimum(away, intervals[seen] * np.maximum(faster, 0.0))[lost]
     half = AROUND // 2
     usual = np.median(np.lib.stride_tricks.sliding_window_view(
         np.pad(away, half, mode='reflect'), AROUND), axis=1)
