@@ -8,6 +8,7 @@ import numpy as np
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Session
+from microbot_ros.estimation.identities import settle_identities
 from microbot_ros.estimation.likelihood.delay import Delay, DelayedFits
 from microbot_ros.estimation.likelihood.excitation import excitation
 from microbot_ros.estimation.likelihood.joint import SessionFit
@@ -124,6 +125,7 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     InputError
         If there are too few frames or no particle answers.
     """
+    session, settled = settle_identities(session)
     prepared = prepare(session)
     if len(prepared.times) < 4 or prepared.seen.sum() - prepared.seen.any(axis=0).sum() < 3:
         raise InputError(session.name, 'expected at least 4 frames with a particle seen in them')
@@ -137,7 +139,7 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     if best is not plain:
         noise = best.noise(exposure)
     speeds = best.polar().widened(delay.felt(slope)).of(best.session.main)
-    warnings = [*session.remarks, *prepared.settled, *_steps(best), *excited.sentences]
+    warnings = [*session.remarks, *settled, *_steps(best), *excited.sentences]
     if ('φ', 'delay') in excited.pairs:
         warnings.append(
             f'φ is stated for no delay; every 0.1 s of delay would add '

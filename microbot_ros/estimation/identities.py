@@ -7,16 +7,13 @@ broken is decided only where the positions leave no choice.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from microbot_ros.common.records import Session
-
-JUMP = 6.0
-"""Ratio to the 99th percentile above which a step is no motion.
-
-Choice: 18 standard deviations of a Gaussian step; a smaller value splits tracks of uneven motion.
-"""
+from microbot_ros.estimation.likelihood.prepared_session import JUMP
+from microbot_ros.model.physics.vectors import as_complex
 
 LONGEST_GAP = 1.0
 """Longest time [s] between the end of a track and the beginning of one that continues it.
@@ -34,9 +31,10 @@ suspension stay broken, with a smaller one strangers are joined.
 """
 
 
-def settled_grid(session: Session) -> tuple[
-        np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return the tracks of a session, whose particles keep their identities if positions decide.
+def settle_identities(session: Session) -> tuple[Session, tuple[str, ...]]:
+    """Return a session whose particles keep their identities, as far as positions decide.
+
+    Nothing is decided across the breaks of the session.
 
     Parameters
     ----------
@@ -45,77 +43,68 @@ def settled_grid(session: Session) -> tuple[
 
     Returns
     -------
-    times : ndarray, shape (T,)
-        Times of frames [s].
-    part : ndarray of int, shape (T,)
-        Part of the session between its breaks that each frame belongs to, numbered from 1. Nothing
-        is decided across parts.
-    z : ndarray of complex, shape (T, N)
-        Positions [m]; NaN where a particle is not seen.
-    ids : ndarray, shape (N,)
-        Identities, ascending; of joined tracks that of the first.
-    remarks : tuple of str
-        Changes, in words.
+    session : Session
+        The same positions. A joined track has the identity of the one that it continues.
+    changes : tuple of str
+        What was changed, in words, with times since the first frame.
     """
-    times, positions = session.tracks.grid()
-    z, ids = positions[..., 0] + 1j * positions[..., 1], session.tracks.particles
-    part = 1 + np.searchsorted(session.breaks, times, side='right')
+    tracks = session.tracks
+    times, positions = tracks.grid()
+    z, ids = as_complex(positions), tracks.particles
     seen = np.isfinite(z)
     if not (seen[1:] & seen[:-1]).any():
-        return times, part, z, ids, ()
-    first = times[0]  # remarks tell times since then
-    remarks = [*_exchange_back(times - first, part, z, ids)]
-    kept, joined = _join(times, part, z, ids)
-    if joined:
-        some = ', '.join(f'{late} to {early}' for early, late in joined[:5])
-        remarks.append(
+        return session, ()
+    part = np.searchsorted(session.breaks, times, side='right')
+    shown = np.broadcast_to(np.arange(len(ids)), z.shape).copy()
+    changes = [*_exchange_back(times - times[0], part, z, shown, ids)]
+    continued = _continued(times, part, z)
+    joined = np.flatnonzero(continued != np.arange(len(ids)))
+    if len(joined):
+        some = ', '.join(f'{ids[late]} to {ids[continued[late]]}' for late in joined[:5])
+        changes.append(
             f'{len(joined)} track{" begins" if len(joined) == 1 else "s begin"} where another '
             f'ended at most {LONGEST_GAP:g} s before, with no other near: joined ({some}'
             f'{", …" if len(joined) > 5 else ""}).')
-    return times, part, np.ascontiguousarray(z[:, kept]), ids[kept], tuple(remarks)
+    if not changes:
+        return session, ()
+    row, column = times.searchsorted(tracks.t), ids.searchsorted(tracks.particle)
+    particle = ids[continued[np.argsort(shown, axis=1)[row, column]]]
+    return replace(session, tracks=replace(tracks, particle=particle)), tuple(changes)
 
 
-def _exchange_back(times: np.ndarray, part: np.ndarray, z: np.ndarray, ids: np.ndarray,
-                   ) -> Iterator[str]:
-    """Exchange, in `z`, tracks that swap places between two frames; yield what was done."""
+def _exchange_back(times: np.ndarray, part: np.ndarray, z: np.ndarray, shown: np.ndarray,
+                   ids: np.ndarray) -> Iterator[str]:
+    """Exchange tracks that swap places between two frames; yield what was done.
+
+    Their columns are exchanged in the positions `z` (T, N) and in `shown` (T, N) alike.
+    """
     steps = np.abs(np.diff(z, axis=0))
     usual = float(np.nanquantile(steps, 0.99))
-    both = (np.nan_to_num(steps) > JUMP * usual).sum(axis=1) > 1
-    for k in np.flatnonzero(both & (np.diff(part) == 0)):
-        end = int(np.searchsorted(part, part[k], side='right'))
+    several = (np.nan_to_num(steps) > JUMP * usual).sum(axis=1) > 1
+    for k in np.flatnonzero(several & (np.diff(part) == 0)):
+        later = slice(k + 1, int(np.searchsorted(part, part[k], side='right')))
         for i in range(z.shape[1]):
             if not abs(z[k + 1, i] - z[k, i]) > JUMP * usual:  # nor where it is not seen
                 continue
             crossed = (np.abs(z[k + 1, i] - z[k]) <= usual) & (np.abs(z[k + 1] - z[k, i]) <= usual)
             for j in np.flatnonzero(crossed)[:1]:
-                z[k + 1:end, [i, j]] = z[k + 1:end, [j, i]]
-                one, other = sorted((ids[i], ids[j]))
-                yield (f'particles {one} and {other} exchange places at {times[k + 1]:.2f} s: '
+                for one in (z, shown):
+                    one[later, [i, j]] = one[later, [j, i]]
+                first, second = sorted((ids[i], ids[j]))
+                yield (f'particles {first} and {second} exchange places at {times[k + 1]:.2f} s: '
                        'their tracks were swapped, and are exchanged back from there on.')
 
 
-def _join(times: np.ndarray, part: np.ndarray, z: np.ndarray, ids: np.ndarray,
-          ) -> tuple[np.ndarray, list[tuple[int, int]]]:
-    """Join, in `z`, tracks that continue another.
-
-    Returns
-    -------
-    kept : ndarray of bool, shape (N,)
-        Columns that are left.
-    joined : list of (int, int)
-        Identities of a particle and of the track that continues it.
-    """
-    seen, whole = np.isfinite(z), z.copy()
-    column = np.arange(z.shape[1])
+def _continued(times: np.ndarray, part: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Return which track each of the tracks `z` (T, N) continues, itself if none: (N,)."""
+    seen, column = np.isfinite(z), np.arange(z.shape[1])
     first, last = seen.argmax(axis=0), len(times) - 1 - seen[::-1].argmax(axis=0)
     begin, end = z[first, column], z[last, column]
-    particle, open_end = column.copy(), seen.any(axis=0)
-    kept, joined = np.ones(len(column), bool), []
-    ways = _Ways(whole, float(np.median(np.diff(times))))
-    begun = [int(n) for n in np.argsort(first, kind='stable') if seen[:, n].any()]
-    for late in begun:
+    ways = _Ways(z, float(np.median(np.diff(times))))
+    continued, is_open = column.copy(), seen.any(axis=0)
+    for late in np.argsort(first, kind='stable'):
         gap = times[first[late]] - times[last]
-        before = np.flatnonzero(open_end & (gap > 0) & (gap <= LONGEST_GAP)
+        before = np.flatnonzero(is_open & (gap > 0) & (gap <= LONGEST_GAP)
                                 & (part[last] == part[first[late]]))
         near = FARTHEST * np.array([ways.within(gap[one]) for one in before])
         apart = np.abs(end[before] - begin[late])
@@ -126,15 +115,12 @@ def _join(times: np.ndarray, part: np.ndarray, z: np.ndarray, ids: np.ndarray,
         others = column[(column != late) & (column != early)]
         since = times[first[others]] - times[last[early]]
         rivals = others[(since > 0) & (since <= LONGEST_GAP)]
-        if ((np.abs(begin[rivals] - end[early]) <= ALONE * reach).any()
-                or (np.abs(whole[last[early], others] - end[early]) <= reach).any()
-                or (np.abs(whole[first[late], others] - begin[late]) <= reach).any()):
-            continue
-        of = particle[late] = particle[early]
-        z[seen[:, late], of] = z[seen[:, late], late]
-        kept[late] = open_end[early] = False
-        joined.append((int(ids[of]), int(ids[late])))
-    return kept, joined
+        alone = ((np.abs(begin[rivals] - end[early]) > ALONE * reach).all()
+                 and not (np.abs(z[last[early], others] - end[early]) <= reach).any()
+                 and not (np.abs(z[first[late], others] - begin[late]) <= reach).any())
+        if alone:
+            continued[late], is_open[early] = continued[early], False
+    return continued
 
 
 class _Ways:

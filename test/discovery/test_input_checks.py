@@ -189,8 +189,8 @@ def test_exchanged_tracks_are_exchanged_back_and_told(film):
     apart, = check_sessions([both])[0]
     rows = apart.seen.any(axis=1)
     np.testing.assert_array_equal(apart.z[rows][-len(whole.z):], whole.z)
-    parted, = check_sessions([replace(exchanged(session, 5.0), breaks=np.array([5.02]))])[0]
-    assert not any('swapped' in one for one in parted.settled)
+    _, remarks = check_sessions([replace(exchanged(session, 5.0), breaks=np.array([5.02]))])
+    assert not any('swapped' in one for one in remarks)
 
 
 def test_tracks_that_jump_far_are_cut_and_go_on_as_others(film):
@@ -245,9 +245,9 @@ def test_tracks_are_not_joined_where_there_is_doubt(film, change):
     moved_tracks = replace(
         tracks, position=tracks.position + away * (tracks.particle >= 10)[:, None])
     breaks = np.array([4.05, 5.05, 6.05] if change == 'another experiment' else [])
-    prepared, = check_sessions([replace(session, tracks=moved_tracks, breaks=breaks)])[0]
+    (prepared,), remarks = check_sessions([replace(session, tracks=moved_tracks, breaks=breaks)])
     assert {0, 1, 2, 10, 11, 12} <= set(prepared.ids.tolist())
-    assert not prepared.settled
+    assert not any('joined' in one for one in remarks)
 
 
 def test_frames_that_are_lost_part_no_track(film):
@@ -347,6 +347,13 @@ def test_particles_pressed_against_a_wall_are_left_out(spread, turn):
     assert [r for r in remarks if 'wall' in r] == [
         'walled-3: pressed against a wall or the edge of the dish: particle 0. Left out: the '
         'force that holds it acts on no other particle.']
+
+
+def test_a_broken_track_at_a_wall_is_left_out_whole():
+    session = walled(3, 1.0)
+    (prepared,), remarks = check_sessions([broken(session, 0.3, (12.0, 13.0, 14.0))])
+    assert list(prepared.ids) == [1, 2]
+    assert any('dish: particle 0. Left out' in remark for remark in remarks)
 
 
 def test_where_a_wall_holds_all_that_is_told():

@@ -240,6 +240,18 @@ def test_particles_that_were_left_out_are_not_drawn(drifting):
     assert 'particle 99' not in page(found, [shifted], [])
 
 
+def test_broken_tracks_are_drawn_to_their_end(drifting):
+    found, session = drifting
+    t = session.tracks
+    at = (t.t[0] + t.t[-1]) / 2
+    later = t.t > at + 0.3
+    named = replace(t, particle=np.where(later, t.particle + 50, t.particle))
+    broken = replace(session, tracks=named.rows((t.t < at) | later))
+    left = residual(found, broken).found
+    assert left.shape[1:] == (len(t.particles), 2)
+    assert np.isfinite(left[-1]).all()
+
+
 def test_lists_are_read_aloud():
     assert listed(['hot_spot']) == 'hot spot'
     assert listed(['hot_spot', 'linear_flow', 'trap']) == 'hot spot, linear flow and trap'

@@ -10,8 +10,8 @@ import numpy as np
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Session
 from microbot_ros.estimation.held import FEWEST_FRAMES, is_held
+from microbot_ros.estimation.identities import settle_identities
 from microbot_ros.estimation.likelihood.prepared_session import (
-    JUMP,
     PreparedSession,
     first_field,
     prepare,
@@ -82,14 +82,17 @@ def check_sessions(sessions: Sequence[Session],
     if not sessions:
         raise InputError('', 'expected at least one session')
     _one_kind(sessions)
+    sessions, settled = zip(*map(settle_identities, sessions), strict=True)
     whole = [_usable(session) for session in sessions]
     _all_different(whole)
     walled = [at_a_wall(e) for e in whole]
     prepared = [prepare(_without(session, set(e.ids[held].tolist())))
                 for session, e, held in zip(sessions, whole, walled, strict=True)]
     remarks = [remark for session in sessions for remark in session.remarks]
-    remarks += [remark for e, held, split in zip(whole, walled, prepared, strict=True)
-                for remark in (*_left_out(e, held), *_remarks_on(e, int(split.jumps.sum())))]
+    remarks += [remark for e, held, split, told in zip(
+                    whole, walled, prepared, settled, strict=True)
+                for remark in (*_left_out(e, held), *_remarks_on(e, int(split.jumps.sum())),
+                               *(f'{e.name}: {one}' for one in told))]
     remarks += _references(sessions)
     return prepared, tuple(dict.fromkeys(remarks))
 
@@ -205,26 +208,11 @@ def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
         yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than the motion '
                'before and after; tracks were cut there. Did the tracker slip, did the stage '
                'move?')
-    yield from _swaps(e)
     if len(np.unique(e.ids)) == 1:
         yield (f'{e.name}: one particle. Effects between particles cannot be seen, and an effect '
                'on all particles cannot be distinguished from one on a single particle; record '
                'three or more.')
     yield from _idle(e)
-
-
-def _swaps(e: PreparedSession) -> Iterator[str]:
-    """Yield remarks on pairs of particles that exchange places between two frames."""
-    z = np.where(e.seen, e.z, np.nan)
-    steps = np.abs(np.diff(z, axis=0))
-    usual = float(np.nanquantile(steps, 0.99))
-    for k, i in zip(*np.nonzero(np.nan_to_num(steps) > JUMP * usual), strict=True):
-        crossed = (np.abs(z[k + 1, i] - z[k]) <= usual) & (np.abs(z[k + 1] - z[k, i]) <= usual)
-        for j in crossed.nonzero()[0]:
-            if i < j:
-                yield (f'{e.name}: particles {e.ids[i]} and {e.ids[j]} exchange places at '
-                       f'{e.times[k + 1]:.2f} s: their tracks are swapped. Exchange their ids '
-                       'from there on, or leave out the rest.')
 
 
 def _idle(e: PreparedSession) -> Iterator[str]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from microbot_ros.common.records import Commands, Session
 from microbot_ros.discovery.result import Discovery
+from microbot_ros.estimation.identities import settle_identities
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood.joint import SessionFit, Whitening
 from microbot_ros.estimation.likelihood.prepared_session import JUMP, PreparedSession, prepare
@@ -75,6 +76,7 @@ def residual(found: Discovery, session: Session) -> Residual:
     Residual
         Of the final and the first-order model.
     """
+    session, _ = settle_identities(session)
     session = replace(session, tracks=session.tracks.of(found.particles.ids))
     whole, prepared = (_with_phi(one, found.particles) for one in (
         PreparedSession.of(session), prepare(session)))

@@ -316,7 +316,10 @@ class PreparedSession:
         both = self.joined()
         steps = np.where(both, np.abs(np.diff(self.z, axis=0)), 0.0)
         usual = np.quantile(steps[both], 0.99) if both.any() else 0.0
-        jumped = np.concatenate([np.zeros((1, self.z.shape[1]), bool), steps > JUMP * usual])
+        # In the frames that are lost it goes on as before.
+        lost = np.maximum(np.diff(self.times) / self.interval - 1, 0.0)[:, None]
+        jumped = np.concatenate([
+            np.zeros((1, self.z.shape[1]), bool), steps > (JUMP + lost) * usual])
         if not jumped.any():
             return self
         number = np.cumsum(jumped, axis=0)
@@ -516,6 +519,8 @@ def _stands_out(steps: np.ndarray, intervals: np.ndarray) -> np.ndarray:
 
     Explained are all steps between those before and after, and all between the median velocities
     of NEAR frames before and after, since commands switch between frames; `intervals` (T,) [s].
+    While more than NEAR frames are lost, commands may turn at will: there all steps are explained
+    that are no faster than before or after.
     """
     result = np.zeros(len(steps), bool)
     seen = np.flatnonzero(np.isfinite(steps))
@@ -526,9 +531,13 @@ def _stands_out(steps: np.ndarray, intervals: np.ndarray) -> np.ndarray:
     windows = np.lib.stride_tricks.sliding_window_view(padded, NEAR)
     medians = np.median(windows.real, axis=1) + 1j * np.median(windows.imag, axis=1)
     count = len(velocity)
+    before, after = medians[:count], medians[NEAR + 1:NEAR + 1 + count]
     away = intervals[seen] * np.minimum(
-        _distance(velocity, medians[:count], medians[NEAR + 1:NEAR + 1 + count]),
+        _distance(velocity, before, after),
         _distance(velocity, padded[NEAR - 1:NEAR - 1 + count], padded[NEAR + 1:][:count]))
+    lost = intervals[seen] > NEAR * np.median(intervals)
+    faster = np.abs(velocity) - np.maximum(np.abs(before), np.abs(after))
+    away[lost] = np.minimum(away, intervals[seen] * np.maximum(faster, 0.0))[lost]
     half = AROUND // 2
     usual = np.median(np.lib.stride_tricks.sliding_window_view(
         np.pad(away, half, mode='reflect'), AROUND), axis=1)
