@@ -159,3 +159,14 @@ def test_a_clean_up_that_hangs_is_told_and_ended(tmp_path: Path) -> None:
     done = run(tmp_path, '-q', '--timeout', '60', 'test_some.py')
     assert done.returncode == 1
     assert done.stderr.count('line 10 in waits') == 2
+
+
+def test_who_only_collects_tests_is_not_looked_on(tmp_path: Path) -> None:
+    """The survey of mutants collects once and runs its children for hours."""
+    (tmp_path / 'conftest.py').write_text(HANGING)
+    (tmp_path / 'test_some.py').write_text('def test_some(): pass')
+    done = subprocess.run([sys.executable, '-c', (
+        'import pytest, threading; pytest.main(["--collect-only", "-q", "test_some.py"]);'
+        'print("hung" in [one.name for one in threading.enumerate()])')],
+        cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == 'False'

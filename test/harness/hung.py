@@ -32,8 +32,11 @@ class Hung:
         self._warned = False
         self._errors = 0
 
-    def pytest_configure(self) -> None:
-        """Look on; what is printed is captured only later."""
+    def pytest_configure(self, config: pytest.Config) -> None:
+        """Look on where tests run: whoever only collects them goes on with children of its own."""
+        if config.option.collectonly:
+            return
+        # What is printed is captured only later.
         self._errors = os.dup(sys.__stderr__.fileno() if sys.__stderr__ else 2)
         threading.Thread(target=self._look_on, name='hung', daemon=True).start()
 
