@@ -128,6 +128,12 @@ def test_arming_tries_each_coil_and_then_lets_commands_flow(make, protocol):
     assert (driver.connected, rig.gate.armed) == (False, False)
 
 
+def test_limits_with_which_a_self_check_shows_nothing_are_refused_before_arming(make):
+    with pytest.raises(InputError, match='deviation_A'):
+        make(self_check=True, deviation_A=1.0)
+    make(self_check=False, deviation_A=1.0)
+
+
 @pytest.mark.parametrize('watchdog_s', [0.4])
 def test_the_zero_of_the_watchdog_is_no_fault_of_the_coils(make):
     """Though the pulse lasted for longer than a reading may be late."""
