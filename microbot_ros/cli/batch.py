@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,12 @@ _COMMON = (
                  help='Write a summary of the work and its results as JSON to this file.'),
 )
 """Options of all tasks; numbers are the smallest allowed, by definition."""
+
+_LOGGED_S = 60.0
+"""Time [s] between lines of progress where a line cannot change, as in a file.
+
+Choice: a night makes a few hundred lines; a longer time looks like a run that stands still.
+"""
 
 
 def _common_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -214,11 +221,17 @@ def _told(summary: Summary) -> list[str]:
 
 
 class _Shown:
-    """Progress on a console: a line that changes, and lines that stay."""
+    """Progress on a console: a line that changes, and lines that stay.
 
-    def __init__(self, console: Console) -> None:
+    Where the console is no terminal, a line every `_LOGGED_S` takes the place of the one that
+    changes.
+    """
+
+    def __init__(self, console: Console, now: Callable[[], float] = time.monotonic) -> None:
         self.console = console
         self._status = console.status('')
+        self._now = now
+        self._logged_s = now()
 
     def __enter__(self) -> _Shown:
         self._status.start()
@@ -231,13 +244,17 @@ class _Shown:
         """Show progress."""
         if progress.note:
             self.console.print(progress.note, markup=False)
-        elif not progress.total:
-            self._status.update(progress.doing)
-        else:
-            self._status.update(_line(progress))
+            return
+        line = _line(progress)
+        self._status.update(line)
+        if not self.console.is_terminal and self._now() - self._logged_s >= _LOGGED_S:
+            self._logged_s = self._now()
+            self.console.print(line, markup=False)
 
 
 def _line(progress: Progress) -> str:
+    if not progress.total:
+        return progress.doing
     line = f'{progress.doing}: {progress.done} of {progress.total}'
     if progress.seconds_left is None:
         return line

@@ -1,6 +1,7 @@
 """A run over an archive: each done once, what is wrong named, whatever stops it."""
 
 import errno
+import io
 import json
 import os
 import re
@@ -14,9 +15,11 @@ import polars
 import pytest
 from command_line import microbot
 from laboratories import fill, write_film
+from rich.console import Console
 
 from microbot_ros.archive import Archive, batch, conclude, read_table, work
 from microbot_ros.archive.cluster import ClusterError
+from microbot_ros.cli.batch import _Shown
 from microbot_ros.common.errors import InputError
 from microbot_ros.session import read_session
 from microbot_ros.session.spreadsheets.sheets import Answers
@@ -277,3 +280,20 @@ def test_a_report_that_fails_leaves_the_table_and_is_tried_again(laboratory, tmp
     assert not (out / 'archive.html').exists()
     assert microbot('batch', 'fit', laboratory, '--out', out) == 0
     assert (out / 'archive.html').is_file()
+
+
+def test_a_night_without_a_terminal_tells_how_far_it_is_once_a_minute():
+    written, seconds = io.StringIO(), [0.0]
+    shown = _Shown(Console(file=written, soft_wrap=True), lambda: seconds[0])
+    for done in range(13):
+        seconds[0] = 20.0 * done
+        shown.report(batch.Progress('discover', done, 13, seconds[0]))
+    assert written.getvalue().splitlines() == [
+        f'discover: {done} of 13, 3.0 a minute, {minutes}:20 left'
+        for done, minutes in ((3, 3), (6, 2), (9, 1), (12, 0))]
+    shown.report(batch.Progress(note='t0.csv: a sentence'))
+    assert written.getvalue().endswith('\nt0.csv: a sentence\n')
+    on_screen = _Shown(Console(file=(screen := io.StringIO()), force_terminal=True), lambda: 1e3)
+    on_screen._logged_s = 0.0
+    on_screen.report(batch.Progress('discover', 1, 2, 1.0))
+    assert screen.getvalue() == ''
