@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TextIO, cast
+from unittest import mock
 
 import numpy as np
 
@@ -30,6 +31,8 @@ LIMITS = Limits(
     idle_s=60.0)
 """Limits of a driver in tests. Wide in time: a busy machine is no fault."""
 _DEADLINE_S = 20.0
+PATIENT_S = 5.0
+"""Time [s] that a line to an amplifier in the same process may take no byte. Wide, like LIMITS."""
 
 
 def until(condition: Callable[[], Any], step: Callable[[], object] = lambda: time.sleep(0.001),
@@ -106,7 +109,10 @@ class Emulated(ABC):
 class Served(Emulated):
     """Emulated amplifier that a thread of this process serves: quick to start.
 
-    `watchdog_s` is None for a board without a watchdog; `faults` are there from the beginning.
+    It takes turns with the driver, so a busy machine may keep it from reading for longer than a
+    driver waits for a line that takes no byte. Until it ends, drivers in this process wait for
+    `PATIENT_S`. `watchdog_s` is None for a board without a watchdog; `faults` are there from the
+    beginning.
     """
 
     def __init__(self, folder: Path, protocol: str = 'serial_transfer', *,
@@ -123,6 +129,8 @@ class Served(Emulated):
         self.url = ','.join(str(line.link) for line in self.lines)
         self.faults = Faults([parse(text, time.monotonic()) for text in faults])
         self._ending = threading.Event()
+        self._patience = mock.patch('microbot_ros.drive.transport._WRITE_TIMEOUT_S', PATIENT_S)
+        self._patience.start()
         server = Server(self.device, self.lines, self.faults, None)
         self._thread = threading.Thread(target=server.run, args=[self._ending.is_set])
         self._thread.start()
@@ -166,6 +174,7 @@ class Served(Emulated):
             for line in self.lines:
                 line.unplug()
             self._file.close()
+            self._patience.stop()
 
 
 class EmulatorProcess(Emulated):

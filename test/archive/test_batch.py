@@ -293,7 +293,8 @@ def test_a_night_without_a_terminal_tells_how_far_it_is_once_a_minute():
         for done, minutes in ((3, 3), (6, 2), (9, 1), (12, 0))]
     shown.report(batch.Progress(note='t0.csv: a sentence'))
     assert written.getvalue().endswith('\nt0.csv: a sentence\n')
-    on_screen = _Shown(Console(file=(screen := io.StringIO()), force_terminal=True), lambda: 1e3)
-    on_screen._logged_s = 0.0
+    screen = io.StringIO()
+    on_screen = _Shown(Console(file=screen, force_terminal=True), lambda: seconds[0])
+    seconds[0] += 1e3
     on_screen.report(batch.Progress('discover', 1, 2, 1.0))
     assert screen.getvalue() == ''

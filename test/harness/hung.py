@@ -33,7 +33,7 @@ class Hung:
         self._errors = 0
 
     def pytest_configure(self, config: pytest.Config) -> None:
-        """Look on where tests run: whoever only collects them goes on with children of its own."""
+        """Look on where tests run; who only collects them may start children of its own later."""
         if config.option.collectonly:
             return
         # What is printed is captured only later.

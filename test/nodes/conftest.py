@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import pytest
 from in_process import Ros, graphs
@@ -67,20 +66,13 @@ def emulator(request: pytest.FixtureRequest, tmp_path: Path,
              emulator_options: dict[str, Any]) -> Iterator[Emulated]:
     """An emulated amplifier that is switched off at the end; for the rig's tests, which measure
     times, in a process of its own.
-
-    In this process it takes turns with the nodes, and on a busy machine reads nothing for longer
-    than a line may be full.
     """
     apart = any(request.node.get_closest_marker(suite) for suite in ('rig', 'soak'))
     options = [word for name, value in emulator_options.items()
                for word in (f'--{name}', str(value))]
-    if apart:
-        with EmulatorProcess(tmp_path, 'serial_transfer', *options) as made:
-            yield made
-        return
-    with (mock.patch('microbot_ros.drive.transport._WRITE_TIMEOUT_S', 5.0),
-          Served(tmp_path, **emulator_options) as served):
-        yield served
+    with (EmulatorProcess(tmp_path, 'serial_transfer', *options) if apart
+          else Served(tmp_path, **emulator_options)) as made:
+        yield made
 
 
 @pytest.fixture
