@@ -286,12 +286,9 @@ def _beside(fit: ModelFit, term: LearnedTerm) -> tuple[ModelFit, list[float]]:
     better = with_term(fit, term)
     plain = evaluate(fit.model, [p.session for p in better.session_fits],
                      [p.whitening for p in better.session_fits])
-    parts = []
-    for p, other in zip(plain.session_fits, better.session_fits, strict=True):
-        one = replace(p)
-        vars(one)['velocity_phasor'] = other.velocity_phasor
-        parts.append(one)
-    return ModelFit(fit.model, tuple(parts)), _noise(better)
+    parts = tuple(replace(p, phasor=other.velocity_phasor) for p, other in zip(
+        plain.session_fits, better.session_fits, strict=True))
+    return ModelFit(fit.model, parts), _noise(better)
 
 
 def _best(known: ModelFit, tables: Sequence[tuple[LearnedTerm, list[Kernel]]],

@@ -222,8 +222,7 @@ def _parabola(fit: SessionFit, noise_at: Callable[[np.ndarray], Whitening], u: n
 
     def rows(noise: Whitening) -> tuple[float, np.ndarray, np.ndarray]:
         white, log_det, count, factors = noise.apply_with_factors(session, columns)
-        one = SessionFit(session, noise, expected, inner(white), log_det, count)
-        vars(one)['white'] = white
+        one = SessionFit(session, noise, expected, inner(white), log_det, count, white)
         used = factors[..., 0] > 0
         left = one.residual[used] * math.sqrt(one.diffusion / fit.diffusion)
         return one.restricted_log_likelihood, factors[used].T, left

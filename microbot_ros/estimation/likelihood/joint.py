@@ -115,6 +115,11 @@ class Whitening:
     uneven_ratio: float = 0.0
     stride: np.ndarray | None = None
 
+    @cached_property
+    def known_columns(self) -> dict[Hashable, tuple[PreparedSession, np.ndarray]]:
+        """Latest columns that were whitened, by session and key (`SessionFit.white_columns`)."""
+        return {}
+
     @property
     def is_plain(self) -> bool:
         """Whether both axes are alike and headings have no noise."""
@@ -269,6 +274,10 @@ class SessionFit:
         ½ log|V| over both axes.
     count : int
         Increments used, of two numbers each.
+    whitened : ndarray of complex, shape (T, N, 3), optional
+        `white`, where it is known already.
+    phasor : ndarray of complex, shape (N,), optional
+        v e^{iφ} of every track [m/s, rollers m/s/Hz], in place of the most likely one.
     """
 
     session: PreparedSession
@@ -277,6 +286,8 @@ class SessionFit:
     gram: np.ndarray
     log_det: float
     count: int
+    whitened: np.ndarray | None = None
+    phasor: np.ndarray | None = None
 
     @classmethod
     def of(cls, session: PreparedSession, whitening: Whitening,
@@ -300,18 +311,20 @@ class SessionFit:
         if expected.isotropic and whitening.stretch == (1.0, 1.0):
             return cls(session, whitening, expected, *whitening.products(session, expected))
         white, log_det, count = whitening.apply(session, columns_of(session, expected))
-        fit = cls(session, whitening, expected, inner(white), log_det, count)
-        vars(fit)['white'] = white
-        return fit
+        return cls(session, whitening, expected, inner(white), log_det, count, white)
 
     @cached_property
     def white(self) -> np.ndarray:
         """Whitened data less offset, and columns along and across (T, N, 3), of variance D."""
+        if self.whitened is not None:
+            return self.whitened
         return self.whitening.apply(self.session, columns_of(self.session, self.expected))[0]
 
     @cached_property
     def velocity_phasor(self) -> np.ndarray:
         """Phasor v e^{iφ} (N,) of every track [m/s, rollers m/s/Hz]; 0 if nothing drove it."""
+        if self.phasor is not None:
+            return self.phasor
         solved = solve(self.gram[:, 1:, 1:], self.gram[:, 1:, :1])[..., 0]
         own: np.ndarray = solved[:, 0] + 1j * solved[:, 1]
         return own
@@ -492,8 +505,7 @@ class SessionFit:
             Increments of variance D per axis.
         """
         # The session is kept as well, since ids of deleted objects are reused.
-        known: dict[Hashable, tuple[PreparedSession, np.ndarray]]
-        known = vars(self.whitening).setdefault('_columns', {})
+        known = self.whitening.known_columns
         shape = self.session.z.shape
         white = np.empty((*shape, len(columns)), complex)
         new = []
