@@ -1,8 +1,8 @@
 """`make bench`: run every group, print a table, write `out/bench.json`.
 
-Each group runs in a process of its own, so that one that fails loses only its own figures. All
-together end within an hour, most of them with fewer runs than behind a published figure; `--full`
-gives every group all its runs and as long as it needs.
+Each group runs in a process of its own and tells each figure as it comes, so that one that fails
+loses only what it has not measured. All together end within an hour, most of them with fewer runs
+than behind a published figure; `--full` gives every group all its runs and as long as it needs.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def main() -> int:
     if chosen.cases is not None and (chosen.only != 'judge' or chosen.cases < 1):
         parser.error('--cases takes a number of sessions from 1 on, and needs --only judge')
     if chosen.into:
-        _write(chosen.into, importlib.import_module(f'bench.{chosen.only}').figures())
+        _measure(importlib.import_module(f'bench.{chosen.only}').figures(), chosen.into)
         return 0
     if chosen.full:
         os.environ['MICROBOT_BENCH_FULL'] = '1'
@@ -73,20 +74,22 @@ def main() -> int:
 def run(group: str, limit_s: float) -> list[dict[str, Any]]:
     """Run a `group` for at most `limit_s` [s] in a process of its own and return its entries.
 
-    What ends it before it has figures is an entry that missed its target.
+    What ends it before it has all its figures is an entry that missed its target.
     """
     begun = about()
     with tempfile.TemporaryDirectory() as folder:
         into = Path(folder) / 'figures.json'
         problem = 'no time was left; try --full' if limit_s <= 0 else _run(group, into, limit_s)
-        figures = json.loads(into.read_text('utf-8')) if into.exists() else [_entry(Figure(
-            0, f'{group}: {problem}', math.nan, '', 'measured', '', False))]
+        figures = json.loads(into.read_text('utf-8')) if into.exists() else []
+    if problem:
+        figures.append(_entry(Figure(
+            0, f'{group}: {problem}', math.nan, '', 'measured', '', False)))
     load = [begun['load'], about()['load']]
     return [{**figure, 'group': group, **begun, 'load': load} for figure in figures]
 
 
 def _run(group: str, into: Path, limit_s: float) -> str:
-    """Run a group; why it ended without figures."""
+    """Run a group; why it ended before it had all its figures."""
     print(f'bench: {group} …', file=sys.stderr, flush=True)
     with subprocess.Popen([sys.executable, '-m', 'bench', '--only', group, '--into', into],
                           start_new_session=True) as process:
@@ -96,7 +99,7 @@ def _run(group: str, into: Path, limit_s: float) -> str:
             return f'had not ended after {limit_s / 60:.0f} min; try --full'
         finally:
             _end(process)
-    return f'ended with status {status}, see above'
+    return f'ended with status {status}, see above' if status else ''
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -127,8 +130,12 @@ def _entry(figure: Figure) -> dict[str, Any]:
             'value': figure.value if math.isfinite(figure.value) else None}
 
 
-def _write(file: Path, figures: list[Figure]) -> None:
-    write_text(file, _as_json([_entry(figure) for figure in figures]))
+def _measure(figures: Iterable[Figure], into: Path) -> None:
+    """Write each of the figures as it comes: what is measured stays if the rest takes too long."""
+    done = []
+    for figure in figures:
+        done.append(_entry(figure))
+        write_text(into, _as_json(done))
 
 
 def _as_json(entries: list[dict[str, Any]]) -> str:

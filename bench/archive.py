@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,17 +41,22 @@ _SETTINGS: dict[str, dict[str, Any]] = {
     'track': {'pixel_size_um': 0.3, 'frame_rate_hz': None, 'tracker': {}}}
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """Every row of the table."""
     with tempfile.TemporaryDirectory() as scratch:
         place = Path(scratch)
         lags = np.where(np.arange(SESSIONS) % 20 < 3, LAG, 0.0)
         folder = worlds.fill(place / 'laboratory', lags)
         warm(folder)
-        return [
-            *_speed(place, folder), *_films(place), _scaling(place, folder), _particles(),
-            *_named(place, lags), *_killed(place, folder), _again(place, folder), _alike(place),
-            _spread()]
+        yield _particles()
+        yield _scaling(place, folder)
+        yield from _killed(place, folder)
+        yield from _films(place)
+        yield from _speed(place, folder)
+        yield from _named(place, lags)
+        yield _again(place, folder)
+        yield _alike(place)
+        yield _spread()
 
 
 def warm(folder: Path) -> None:

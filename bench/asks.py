@@ -112,10 +112,12 @@ class Run:
         return MINUTES, set()
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """Every figure of the issue."""
     runs = run_kept(Path('out/asks.jsonl'), every_case(), run, _again)
-    return [*score(runs), _design_seconds(), *_asks_graph.figures()]
+    yield from score(runs)
+    yield _design_seconds()
+    yield from _asks_graph.figures()
 
 
 def every_case() -> list[Case]:

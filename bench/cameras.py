@@ -11,6 +11,7 @@ import os
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,15 +32,16 @@ _EXPOSURES = 2000
 _DAMAGED = 25
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """Of every kind that is here."""
     with tempfile.TemporaryDirectory(prefix='bench-cameras-') as name:
-        return [figure for kind, there, measure in (
+        for kind, there, measure in (
             ('file', True, _file),
             ('pylon', _installed('pypylon'), _pylon),
             ('micromanager', _installed('pymmcore', 'mm_test_adapters'), _micromanager),
             ('aravis', has_aravis(), _aravis),
-        ) for figure in (measure(Path(name)) if there else _left_out(kind))]
+        ):
+            yield from measure(Path(name)) if there else _left_out(kind)
 
 
 def _installed(*packages: str) -> bool:

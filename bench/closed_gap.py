@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -51,11 +51,12 @@ _SECONDS, _JUDGED_SECONDS = 30.0, 15.0
 _PERIOD = 1 / 30
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """Mean distance from the goal, discovered over first-order model, for each hidden effect."""
-    return [
-        *(_figure(effect, parameters, 1.0) for effect, parameters in LATE.items()),
-        *(_figure(effect, parameters, 1.25) for effect, parameters in REJECTED.items())]
+    for effect, parameters in LATE.items():
+        yield _figure(effect, parameters, 1.0)
+    for effect, parameters in REJECTED.items():
+        yield _figure(effect, parameters, 1.25)
 
 
 def _figure(effect: str, parameters: Mapping[str, float], most: float) -> Figure:

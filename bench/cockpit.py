@@ -40,7 +40,7 @@ _EVERY = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _STOPS, _PATIENCE_S, _TRIES = 15, 3.0, 10
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """All figures, of one run of some four minutes."""
     os.environ.setdefault('ROS_DOMAIN_ID', str(215 + os.getpid() % 17))  # nobody else's graph
     with tempfile.TemporaryDirectory(prefix='bench-cockpit-') as name:
@@ -50,8 +50,12 @@ def figures() -> list[Figure]:
                            recorder={'recording': False}),
               GraphClient('bench') as client, _browser.browser() as browser):
             bench = _Bench(folder, client, browser)
-            return [*bench.loop(), bench.recorded(), *bench.shown(), bench.slowed(),
-                    bench.two_pages(), bench.stopped(board)]
+            yield from bench.loop()
+            yield bench.recorded()
+            yield from bench.shown()
+            yield bench.slowed()
+            yield bench.two_pages()
+            yield bench.stopped(board)
 
 
 def _film() -> list[np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -25,14 +26,16 @@ from microbot_ros.model.model import Model
 ISSUE = 7
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """Every figure of the controllers."""
     spent: list[float] = []
-    results = [*_path(spent), *_goals(spent), _ensemble(spent), *_predictive()]
-    results.append(Figure(
-        ISSUE, 'time per tick, all but predictive, p99', _p99(spent), 'ms', '≤ 1',
-        'processor time', _p99(spent) <= 1))
-    return [*results, *_switches()]
+    yield from _path(spent)
+    yield from _goals(spent)
+    yield _ensemble(spent)
+    yield from _predictive()
+    yield Figure(ISSUE, 'time per tick, all but predictive, p99', _p99(spent), 'ms', '≤ 1',
+                 'processor time', _p99(spent) <= 1)
+    yield from _switches()
 
 
 def _p99(spent: list[float]) -> float:

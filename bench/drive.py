@@ -8,6 +8,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -40,17 +41,21 @@ _JOYSTICK_S = 0.35
 """The joystick's own 0.25 s, and what a command may outlive its giver."""
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """All figures; in full some eighty minutes on two cores, half of them for the mutants."""
     with ProcessPoolExecutor(2, multiprocessing.get_context('spawn')) as pool:
         day = pool.submit(_day.run, float(_DAY_H))
         swept = pool.submit(_gate_sweep.values_outside, _SWEPT)
         tally = pool.submit(_fuzz.run, _FUZZ_S)
-        computed = [*_sweep_figures(*swept.result()), *_codec_figures(tally.result()),
-                    *_day_figures(day.result())]
+        yield from _sweep_figures(*swept.result())
+        yield from _codec_figures(tally.result())
+        yield from _day_figures(day.result())
     # The mutants fork: before the dead-man brings the middleware's threads into this process.
-    return [*computed, *_gate_figures(), _left_over_figure(), _matrix_figure(), *_line_figures(),
-            *_dead_man_figures()]
+    yield from _gate_figures()
+    yield _left_over_figure()
+    yield _matrix_figure()
+    yield from _line_figures()
+    yield from _dead_man_figures()
 
 
 def _dead_man_figures() -> list[Figure]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,13 +62,16 @@ class Mark:
     robot: str
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """All figures of pointing; those of real films only where these are."""
     cv2.setNumThreads(1)
-    found = _cells() + _sizes() + (_textures() if available() else [])
+    yield from _cells()
+    yield from _sizes()
+    if available():
+        yield from _textures()
     if _DATA.is_dir():
-        found += _films() + _live()
-    return found
+        yield from _films()
+        yield from _live()
 
 
 def marks(film: str) -> dict[int, list[Mark]]:

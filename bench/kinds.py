@@ -46,9 +46,10 @@ _ROUNDS = 3
 """Most rounds in which effects and noise are fitted in turn."""
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """Three of each kind, where its recordings are."""
-    return [one for kind in _TABLES for one in _of_kind(kind)] if _DATA.is_dir() else []
+    for kind in _TABLES if _DATA.is_dir() else ():
+        yield from _of_kind(kind)
 
 
 def _of_kind(kind: str) -> Iterator[Figure]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -55,10 +55,12 @@ class Outcome:
     error: str = ''
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """All of them."""
     outcomes = run_kept(Path('out/learned.jsonl'), cases(), judge, lambda told: Outcome(**told))
-    return [*score(outcomes), *wheel(), *beside(outcomes)]
+    yield from score(outcomes)
+    yield from wheel()
+    yield from beside(outcomes)
 
 
 def cases(worlds: int = sized(5, 1), nulls: int = sized(200, 20),

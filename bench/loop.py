@@ -6,7 +6,7 @@ import gc
 import os
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import gymnasium
@@ -40,9 +40,12 @@ _SCENARIO = Path('config/scenario_closed_loop.yaml')
 _BARE = 'a bare loop: Numba centroids, one matrix, os.write'
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """All figures; some thirty minutes, most of them for frames in real time."""
-    return [*_frame_figures(), *_simulated_figures(), _training_figure(), *_rig_figures()]
+    yield from _frame_figures()
+    yield from _simulated_figures()
+    yield _training_figure()
+    yield from _rig_figures()
 
 
 def _rig_figures() -> list[Figure]:

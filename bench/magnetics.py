@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -22,12 +22,16 @@ _BATCH = 50  # allocations per timed call: long for the clock, short for the sch
 _DIRECTIONS = np.linspace(0, 2 * np.pi, 3600, endpoint=False)
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """Every figure of the coils, measured on a rig with uneven gains, poses and limits."""
     settings = _uneven_rig()
     coils, peer = CoilSet(settings), _magpylib(settings)
-    return [*_field(coils, peer), *_directions(coils, peer), *_times(coils),
-            *_many(6), *_many(16), *_times_in_space()]
+    yield from _field(coils, peer)
+    yield from _directions(coils, peer)
+    yield from _times(coils)
+    yield from _many(6)
+    yield from _many(16)
+    yield from _times_in_space()
 
 
 def _uneven_rig() -> CoilSettings:

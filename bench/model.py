@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from bench.figure import Figure, seconds
@@ -78,6 +80,7 @@ def _increments() -> list[Figure]:
     ]
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """The figures of the model."""
-    return [_trajectories(), *_increments()]
+    yield _trajectories()
+    yield from _increments()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -73,6 +73,7 @@ def _langevin() -> Figure:
                   '≥ 1', 'the clock', spent <= 1)
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """Every figure of the physics."""
-    return [*_first_order(), _langevin()]
+    yield from _first_order()
+    yield _langevin()

@@ -32,14 +32,14 @@ KILLS = 20
 _TOPICS = 3
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """All figures of recording and replay that need no graph."""
     with tempfile.TemporaryDirectory(prefix='bench-recording-') as name:
         folder = Path(name)
-        return [
-            *_writing(folder / 'writing'), *_opening(folder / 'opening'),
-            *_crashing(folder / 'crashing'), *_playing(folder / 'playing'),
-        ]
+        yield from _writing(folder / 'writing')
+        yield from _opening(folder / 'opening')
+        yield from _crashing(folder / 'crashing')
+        yield from _playing(folder / 'playing')
 
 
 def _frames(width: int, height: int) -> list[bytes]:

@@ -9,6 +9,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -46,17 +47,15 @@ ASKED = 25
 STEERING = Path(__file__).parents[1] / 'test' / 'data' / 'steering.mcap'
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """The load of 1280×1024 at 100 Hz, kill −9, replay at full speed, two replays of a run."""
-    found: list[Figure] = []
     with tempfile.TemporaryDirectory(prefix='bench-replay-') as name:
         for measure in (_loading, _killing, _replaying, _agreeing):
             try:
-                found += measure(Path(name))
+                yield from measure(Path(name))
             except (InputError, RuntimeError, LookupError) as error:
-                found.append(Figure(9, f'{measure.__name__[1:]}: {error!r}', math.nan, '',
-                                    'measured', '', False))
-    return found
+                yield Figure(9, f'{measure.__name__[1:]}: {error!r}', math.nan, '', 'measured',
+                             '', False)
 
 
 def _loading(folder: Path) -> list[Figure]:

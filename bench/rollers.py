@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,9 +33,10 @@ _KNOWN = 0.04
 """How well gain and φ are known: what the model node reaches."""
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """All of them."""
-    return [*_slit(), *_pushed()]
+    yield from _slit()
+    yield from _pushed()
 
 
 # Ten through a slit ----------------------------------------------------------------------------

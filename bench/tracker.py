@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -29,13 +30,17 @@ _LIKE_TRACKPY = TrackerSettings(
 """Settings that accept the dim and blurred spheres of `bulk_water` that trackpy accepts too."""
 
 
-def figures() -> list[Figure]:
+def figures() -> Iterator[Figure]:
     """All figures of the tracker; those of real recordings only where these are."""
     cv2.setNumThreads(1)
-    found = [*_precision(), *_worlds(), *_crossings(), _noise(), memory()]
+    yield from _precision()
+    yield from _worlds()
+    yield from _crossings()
+    yield _noise()
+    yield memory()
     if _DATA.is_dir():
-        found += [*_bulk_water(), *_mickyroll()]
-    return found
+        yield from _bulk_water()
+        yield from _mickyroll()
 
 
 def _precision() -> list[Figure]:

@@ -19,17 +19,25 @@ def figures():
     return [Figure(1, 'good', Timing(2.0, 0.25), 's', '≥ 1', 'none', True),
             Figure(1, 'unknown', float('nan'), 's', '≥ 1', 'none', True)]
 """
+PARTLY = """
+import time
+from bench.figure import Figure
+def figures():
+    yield Figure(1, 'first', 1.0, 's', '≥ 1', 'none', True)
+    time.sleep(600)
+"""
 
 
 @pytest.fixture
 def groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A bench of three groups in a folder of its own."""
+    """A bench of four groups in a folder of its own."""
     package = tmp_path / 'bench'
     package.mkdir()
     for file in ('__init__', '__main__', 'figure'):
         source = Path(main.__file__).with_name(f'{file}.py')
         (package / source.name).write_text(source.read_text('utf-8'), 'utf-8')
     (package / 'good.py').write_text(GOOD)
+    (package / 'partly.py').write_text(PARTLY)
     (package / 'raises.py').write_text('def figures():\n    raise RuntimeError\n')
     (package / 'sleeps.py').write_text('import time\ndef figures():\n    time.sleep(600)\n')
     monkeypatch.chdir(tmp_path)
@@ -39,15 +47,18 @@ def groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures('groups')
 def test_a_group_that_fails_or_takes_too_long_leaves_the_others() -> None:
     begin = time.monotonic()
-    good, unknown, raised, slept, late = (
-        entry for group, limit in (('good', 60.0), ('raises', 60.0), ('sleeps', 5.0), ('good', 0))
+    good, unknown, raised, slept, first, cut, late = (
+        entry for group, limit in (('good', 60.0), ('raises', 60.0), ('sleeps', 5.0),
+                                   ('partly', 20.0), ('good', 0))
         for entry in main.run(group, limit))
     assert time.monotonic() - begin < 120
     assert (good['value'], good['spread'], good['ok']) == (2.0, 0.25, True)
     assert unknown['value'] is None
-    assert [one['ok'] for one in (raised, slept, late)] == [False] * 3
+    assert [one['ok'] for one in (raised, slept, cut, late)] == [False] * 4
     assert 'ended with status 1' in raised['name']
     assert 'had not ended' in slept['name']
+    assert (first['name'], first['ok']) == ('first', True)
+    assert 'had not ended' in cut['name']
     assert 'no time was left' in late['name']
     for entry in (good, raised):
         assert {'group', 'commit', 'machine', 'load', 'peer', 'target'} <= entry.keys()
