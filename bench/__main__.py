@@ -40,6 +40,8 @@ TOTAL_S = 58 * 60
 """Time of all groups together, unless they run in full: an hour with what starts and ends."""
 GROUP_S = 10 * 60
 """Time of one group, unless it runs in full or alone."""
+SHARE_S = 90
+"""Time in which such a group begins cases that it keeps: the next run goes on with others."""
 _GRACE_S = 10.0
 """Between the request to end and the kill: children of a group need a moment to zero coils."""
 
@@ -61,6 +63,8 @@ def main() -> int:
         os.environ['MICROBOT_BENCH_FULL'] = '1'
     if chosen.cases is not None:
         os.environ['MICROBOT_BENCH_CASES'] = str(chosen.cases)
+    if not (chosen.full or chosen.only):
+        os.environ['MICROBOT_BENCH_SHARE_S'] = str(SHARE_S)
     entries: list[dict[str, Any]] = []
     deadline = time.monotonic() + (math.inf if chosen.full or chosen.only else TOTAL_S)
     for group in [chosen.only] if chosen.only else GROUPS:

@@ -1,6 +1,8 @@
 """Outcomes kept as they come: a bench of hours that is stopped goes on where it was.
 
 A line of JSON for every case, under the code that judged it: what other code said is run again.
+Where all groups share an hour each begins its cases in order until its time is over, and a figure
+is of those that are there.
 """
 
 from __future__ import annotations
@@ -8,12 +10,16 @@ from __future__ import annotations
 import ast
 import dataclasses
 import hashlib
+import itertools
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any, TypeVar
+
+from bench.figure import SHARE_S
 
 Given, Judged = TypeVar('Given'), TypeVar('Judged')
 
@@ -24,25 +30,37 @@ def run_kept(path: Path, cases: Iterable[Given], judge: Callable[[Given], Judged
 
     Each outcome, a dataclass, is a line in `path` as soon as it is there, and `again` makes it
     from its fields; cases found there under the same code are not run. Tells on stderr how far
-    it is.
+    it is. Cases that `SHARE_S` left no time for are left out.
     """
     from rich.console import Console
-    from rich.progress import track
+    from rich.progress import Progress
 
     wanted, code = list(cases), code_version()
     known = dict(_read(path, code))
     path.parent.mkdir(parents=True, exist_ok=True)
     missing = [case for case in wanted if _key(case) not in known]
-    with ProcessPoolExecutor(jobs, initializer=one_core) as pool, path.open('a') as kept:
-        pending = {pool.submit(judge, case): case for case in missing}
-        for done in track(as_completed(pending), path.stem, len(pending),
-                          console=Console(stderr=True)):
-            key, told = _key(pending[done]), dataclasses.asdict(done.result())  # type: ignore[call-overload]
-            kept.write(json.dumps({'code': code, 'case': key, 'outcome': told},
-                                  ensure_ascii=False) + '\n')
-            kept.flush()
-            known[key] = json.loads(json.dumps(told))
-    return [again(known[_key(case)]) for case in wanted]
+    begun, pending = time.monotonic(), dict[Future[Judged], Given]()
+    with (ProcessPoolExecutor(jobs, initializer=one_core) as pool, path.open('a') as kept,
+          Progress(console=Console(stderr=True)) as shown):
+        bar = shown.add_task(path.stem, total=len(missing))
+        while missing or pending:
+            while missing and len(pending) < jobs:
+                pending[pool.submit(judge, missing[0])] = missing.pop(0)
+            for done in wait(pending, return_when=FIRST_COMPLETED).done:
+                key, told = _key(pending.pop(done)), dataclasses.asdict(done.result())  # type: ignore[call-overload]
+                kept.write(json.dumps({'code': code, 'case': key, 'outcome': told},
+                                      ensure_ascii=False) + '\n')
+                kept.flush()
+                known[key] = json.loads(json.dumps(told))
+                shown.advance(bar)
+            if time.monotonic() - begun > SHARE_S:
+                missing.clear()
+    return [again(known[key]) for case in wanted if (key := _key(case)) in known]
+
+
+def in_turns(kinds: Iterable[Sequence[Given]]) -> list[Given]:
+    """Cases of several `kinds`, one of each in turn, so that any part of them has all kinds."""
+    return [case for turn in itertools.zip_longest(*kinds) for case in turn if case is not None]
 
 
 def code_version() -> str:

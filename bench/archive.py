@@ -30,7 +30,7 @@ from microbot_ros.session import read_session
 from microbot_ros.session.spreadsheets.sheets import Answers
 
 ISSUE = 23
-SESSIONS, FILMS = sized(200, 60), sized(20, 6)
+SESSIONS, FILMS = sized(200, 20), sized(20, 4)
 ARCHIVES, IN_ARCHIVE = sized(50, 4), 20
 LAG, SPREAD = 0.2, 0.04
 """Mean lag [s] and its standard deviation between the sessions of an archive."""
@@ -142,7 +142,7 @@ def _films(place: Path) -> list[Figure]:
 
 def _scaling(place: Path, folder: Path) -> Figure:
     """Cost against the number of sessions, all but the start of workers."""
-    counts = [count for count in (10, 20, 50, 100, 200) if count <= SESSIONS]
+    counts = [count for count in (5, 10, 20, 50, 100, 200) if count <= SESSIONS]
     everything, times = sorted(folder.rglob('tracks.csv')), []
     for count in counts:
         part = place / f'part-{count}'

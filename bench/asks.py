@@ -31,7 +31,7 @@ from bench._asks_rivals import RULES, Rule, by_rule
 from bench._asks_worlds import hidden_world
 from bench._driven_rig import SimulatedRig
 from bench._hidden_effects import LISTED, UNLISTED
-from bench._kept import run_kept
+from bench._kept import in_turns, run_kept
 from bench.figure import Figure, sized
 from microbot_ros.discovery.driven.design import Design, Question, Range, Search, random_steps
 from microbot_ros.discovery.driven.drive import Driven, drive
@@ -124,11 +124,7 @@ def every_case() -> list[Case]:
     """All that is run, kind by kind in turns."""
     kinds = [_effects('asks'), _nulls(), _unlisted(), _pairs(), _twins(),
              _effects('random'), *map(_rival, RULES)]
-    return _in_turns(kinds)
-
-
-def _in_turns(kinds: Sequence[Sequence[Case]]) -> list[Case]:
-    return [case for turn in itertools.zip_longest(*kinds) for case in turn if case]
+    return in_turns(kinds)
 
 
 def _again(told: dict[str, Any]) -> Run:
@@ -247,7 +243,7 @@ def _unlisted() -> list[Case]:
 
 def _rival(rule: str) -> list[Case]:
     others = _nulls()[:RIVAL_NULLS], _unlisted()[:RIVAL_UNLISTED * len(UNLISTED)]
-    return _in_turns([_effects(rule), *(
+    return in_turns([_effects(rule), *(
         [(rule, hidden, seed) for _, hidden, seed in kind] for kind in others)])
 
 

@@ -13,6 +13,10 @@ FULL = os.environ.get('MICROBOT_BENCH_FULL') == '1'
 """Whether every group takes the time that it needs, `make bench FULL=1`, or a part of an hour."""
 
 
+SHARE_S = float(os.environ.get('MICROBOT_BENCH_SHARE_S', 'inf'))
+"""Time [s] after which a group begins no further case of those that it keeps."""
+
+
 def sized(full: int, brief: int) -> int:
     """Return how many runs a figure is of: `full`, or `brief` where the bench has an hour."""
     return full if FULL else brief
