@@ -13,6 +13,7 @@ import yaml
 from made.text import MADE, code, table
 from microbot_ros import nodes
 from microbot_ros.nodes.base.names import NODES
+from microbot_ros.nodes.base.topics import CHANGES, TOPICS
 
 _NODES = Path(nodes.__file__).parent
 CONTENT = Path(__file__).with_name('graph.yaml')
@@ -87,11 +88,17 @@ def page() -> str:
             'namespace. All numbers are in SI units; units and frames of each topic are in the '
             '[glossary](glossary.md). A stamp is the time at which the exposure of the frame '
             'began. Everything that is computed from the frame carries it. Every node is a '
-            'lifecycle node, with its services. `recorder` subscribes to all topics, `player` '
-            'plays them, and `cockpit` subscribes also to those that an open page shows.'
-            '\n\n## Topics\n\n'
+            'lifecycle node, with its services. `recorder` records all topics but '
+            f'{_not_recorded(made)} and, by default, `overlay/image_raw`. It also records '
+            f'{code(CHANGES)}. `player` plays what was recorded, and `cockpit` subscribes also '
+            'to the topics that an open page shows.\n\n## Topics\n\n'
             + table(('topic, type', 'from → to', 'content'), topics)
             + '\n## Services\n\n' + table(('service, type', 'does'), services))
+
+
+def _not_recorded(made: list[End]) -> str:
+    return ', '.join(map(code, sorted(
+        {end.name for end in made if end.what != 'service'} - TOPICS.keys())))
 
 
 def _nodes(names: list[str]) -> str:
