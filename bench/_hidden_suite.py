@@ -35,6 +35,10 @@ from microbot_ros.virtual_rig.world import World
 
 FIELD = 5e-3
 FLUID = Fluid(1.245e-3)
+ABOVE_FLOOR = 2.0
+"""An effect that is smaller than this times the floor of the instrument must not be named: what a
+fit finds errs either way."""
+
 CLOSE = 0.15
 """How near to the wanted evidence a filmed session must come."""
 
@@ -68,9 +72,22 @@ class Blind:
         """What filmed them."""
         return self.experiment.camera
 
+    @property
+    def near_floor(self) -> bool:
+        """Whether an effect is below ABOVE_FLOOR times the floor of the instrument."""
+        return any(_is_near_floor(*one) for one in self.hidden.items())
+
     def __str__(self) -> str:
         what = f'{" + ".join(self.hidden)} at λ {self.evidence:.0f}' if self.hidden else 'nothing'
         return f'seed {self.seed}, {self.commands}: {what}'
+
+
+def _is_near_floor(name: str, parameters: Parameters) -> bool:
+    floors = [p for p in EFFECTS[name].parameters() if p.floor and p.name in parameters
+              ] if name in EFFECTS else []
+    return bool(floors) and all(
+        abs(to_si(p.name, parameters[p.name]) - p.null_value) < ABOVE_FLOOR * p.floor
+        for p in floors)
 
 
 @dataclass(frozen=True)

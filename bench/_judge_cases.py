@@ -12,24 +12,21 @@ from pathlib import Path
 
 import numpy as np
 
-from bench._hidden_effects import LISTED, Parameters
-from bench._hidden_suite import COMMANDS, FLUID, Blind, blind
+from bench._hidden_effects import LISTED
+from bench._hidden_suite import ABOVE_FLOOR, COMMANDS, FLUID, Blind, blind
 from bench._nuisances import NUISANCES, differing_sizes
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import write_text
 from microbot_ros.common.records import Session
-from microbot_ros.common.units import to_si
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.report.page import write_report
-from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.io.model_file import write_model
 
 EVIDENCE = 100.0
 """λ of an effect in the session without the nuisance: at 40 one in ten would be missed anyway.
 
-It is more where the effect would be below ABOVE_FLOOR times the floor of the instrument, since it
-must not be named there."""
-ABOVE_FLOOR = 2.0
+It is more where an effect would be near the floor of the instrument, since it must not be named
+there."""
 _FIRST_SEEDS = {'tuning': 200_000, 'checking': 300_000}
 
 
@@ -158,17 +155,10 @@ def _film(case: Case) -> Session:
     evidence = EVIDENCE if case.effects else 0.0
     while True:
         drawn = blind(case.seed, case.commands, case.effects, evidence, count=_count(case))
-        if not any(_is_near_floor(*one) for one in drawn.hidden.items()):
+        if not drawn.near_floor:
             break
         evidence *= ABOVE_FLOOR**2
     return with_nuisance(drawn, case.kind, case.seed) if case.kind else drawn.session
-
-
-def _is_near_floor(name: str, parameters: Parameters) -> bool:
-    floors = [p for p in EFFECTS[name].parameters() if p.floor and p.name in parameters]
-    return bool(floors) and all(
-        abs(to_si(p.name, parameters[p.name]) - p.null_value) < ABOVE_FLOOR * p.floor
-        for p in floors)
 
 
 def _count(case: Case) -> int | None:

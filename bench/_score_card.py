@@ -62,6 +62,7 @@ class Outcome:
     rows: int
     seconds: float
     rivals_said: Mapping[str, int] = field(default_factory=dict)
+    near_floor: bool = False
 
     @property
     def established(self) -> set[str]:
@@ -77,6 +78,12 @@ class Outcome:
     def exact(self) -> bool:
         """Whether it vouches for all that was hidden and for nothing else, and is content."""
         return self.established == set(self.case.effects) and self.verdict == 'named'
+
+    @property
+    def told(self) -> bool:
+        """Whether it says that something is there without a name: of a jump of the stage, when."""
+        return self.verdict == 'unnamed' or (
+            self.case.effects == ('stage_jump',) and 'single steps' in self.unexplained)
 
     @property
     def suspected(self) -> bool:
@@ -100,7 +107,8 @@ def judge(case: Case) -> Outcome:
         tuple(residual.against for residual in found.unexplained),
         tuple(covered(session, found)), (gap.before, gap.after, gap.truth, gap.floor),
         sum(len(EFFECTS[e].parameters()) for e in case.effects if e in EFFECTS), 2 * rows,
-        seconds, {name: _RIVALS[name](session.session) for name in case.rivals})
+        seconds, {name: _RIVALS[name](session.session) for name in case.rivals},
+        session.near_floor)
 
 
 def _pysindy(session: Session) -> int:

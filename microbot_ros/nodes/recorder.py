@@ -1,4 +1,4 @@
-"""Node `recorder`: every topic of the graph to an MCAP recording, as it came off the wire."""
+"""Node `recorder`: topics of the graph to an MCAP recording, as they came off the wire."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class RecorderParameters:
     folder: str = setting(
         '', 'Folder of the next recording; empty makes one in ./recordings named after the time.')
     topics: list[str] = setting(
-        [], 'What to record; empty records every topic of the graph but `overlay/image_raw`.',
-        read_only=True)
+        [], 'What to record; empty records frames, particles, goals, commands, currents, estimates '
+            'and health, but not `overlay/image_raw`.', read_only=True)
     frame_every: int = setting(
         1, 'Record every n-th camera frame; 0 records none.', lower=0, upper=1000)
     title: str = setting(
