@@ -105,7 +105,8 @@ def discover(sessions: Sequence[Session],
     predicted = hold_out(
         learned.fit if learned else known.fit, [p.session for p in start.session_fits],
         known.credible, truth, run, partial(relearn, learned.findings) if learned else None)
-    if judgement.left and not predicted.worth_explaining(known.fit):
+    beyond = 'before' if judgement.doubted else 'after'
+    if judgement.left and not predicted.worth_explaining(known.fit, beyond):
         judgement = judgement.foretelling_nothing()
     complete = judgement.verdict != 'unnamed'
     if complete:

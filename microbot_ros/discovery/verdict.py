@@ -30,6 +30,7 @@ from microbot_ros.discovery.learned.learn import Finding, with_term
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import FRAMES, ResidualMap, Status, Verdict
 from microbot_ros.discovery.search import without
+from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
 
 BETTER = 2.0
@@ -84,6 +85,9 @@ class Judgement:
         (`Effect.below_floor`).
     contradicted : tuple of str
         Effects of the model that one half of the recordings foretells wrongly for the other half.
+    doubted : tuple of str
+        Effects of the model that may stand in for another cause: a residual map or a learned term
+        in `left` explains more, or their shape was not seen, or they are `contradicted`.
     maps : tuple of ResidualMap
         All residual maps of the model.
     """
@@ -97,6 +101,7 @@ class Judgement:
     early: tuple[str, ...] = ()
     of_instrument: tuple[str, ...] = ()
     contradicted: tuple[str, ...] = ()
+    doubted: tuple[str, ...] = ()
     maps: tuple[ResidualMap, ...] = ()
 
     @property
@@ -130,9 +135,9 @@ class Judgement:
     def foretelling_nothing(self) -> Judgement:
         """Return the judgement for residuals that do not improve prediction on held-out rows.
 
-        Named effects then need not explain the residuals, which move to `beside`. A rhythm stays
-        in `left`: no learned term could show it, and it is there only if it moves particles
-        (`ResidualMap.decides`).
+        Named effects then need not explain the residuals, which move to `beside`. Those in doubt
+        lose their names. A rhythm stays in `left`: no learned term could show it, and it is there
+        only if it moves particles (`ResidualMap.decides`).
 
         Returns
         -------
@@ -141,7 +146,9 @@ class Judgement:
         """
         rhythm = tuple(m for m in self.left if m.against.startswith('rhythm'))
         beside = tuple(m for m in self.left if m not in rhythm)
-        return replace(self, left=rhythm, beside=(*beside, *self.beside), unlisted=False)
+        named = tuple(name for name in self.named if name not in self.doubted)
+        return replace(self, named=named, left=rhythm, beside=(*beside, *self.beside),
+                       unlisted=False)
 
     @property
     def answered(self) -> bool:
@@ -176,9 +183,9 @@ def judge(known: Hypotheses, run: Run = serially) -> Judgement:
     pending = [name for name in known.names if name not in (*named, *small)]
     pending += [one.id for one in known.more if one.evidence > likelier_than_not()]
     maps = residual_maps(known.fit, run)
-    left, beside = _left(known, named, maps, run)
+    left, beside, doubted = _left(known, named, maps, run)
     return Judgement(named, open_, tuple(pending), left, beside, early=early, of_instrument=small,
-                     contradicted=contradicted, maps=maps)
+                     contradicted=contradicted, doubted=(*contradicted, *doubted), maps=maps)
 
 
 def _likely(known: Hypotheses) -> list[Slot]:
@@ -186,9 +193,10 @@ def _likely(known: Hypotheses) -> list[Slot]:
     return [slot for slot in known.slots if slot.own.evidence >= enough()]
 
 
-def _left(known: Hypotheses, named: Sequence[str], maps: Sequence[ResidualMap],
-          run: Run) -> tuple[tuple[ResidualMap, ...], tuple[ResidualMap, ...]]:
-    """Return the residual maps that prevent a name, and those that do not.
+def _left(
+    known: Hypotheses, named: Sequence[str], maps: Sequence[ResidualMap], run: Run,
+) -> tuple[tuple[ResidualMap, ...], tuple[ResidualMap, ...], tuple[str, ...]]:
+    """Return the residual maps that prevent a name, those that do not, and effects in doubt.
 
     The first are maps that decide beside the model, or that explain more than one of its effects.
     The second are what the fit excludes, what hardly moves a particle (`ResidualMap.decides`), and
@@ -197,15 +205,19 @@ def _left(known: Hypotheses, named: Sequence[str], maps: Sequence[ResidualMap],
     left = [m for m in maps if m.decides]
     beside = [m for m in maps if m.fires and not m.decides]
     worst = max(left, key=_excess, default=None)
+    doubted = [slot.own.id for slot in known.slots
+               if worst and slot.own.found.likelihood_ratio < _excess(worst)]
     doubts, small = [], False
     for slot in _likely(known):
         alone = residual_maps(slot.rest, run)
         most = slot.own.found.log_p + likelier_than_not() - BETTER
-        doubts += [m for m in alone if m.decides and m.log_p < most]
+        better = [m for m in alone if m.decides and m.log_p < most]
+        doubts += better
+        doubted += [slot.own.id] * bool(better)
         small |= bool(worst and slot.own.id in named and _is_small(worst, slot.own, alone))
     if small:
         left, beside = [], left + beside
-    return _by_chance(left + doubts), _by_chance(beside)
+    return _by_chance(left + doubts), _by_chance(beside), tuple(doubted)
 
 
 def _is_small(worst: ResidualMap, own: Candidate, without_it: Sequence[ResidualMap]) -> bool:
@@ -250,19 +262,35 @@ def scrutinised(known: Hypotheses, judgement: Judgement,
     Returns
     -------
     Judgement
-        With `left`, `beside` and `unlisted` updated.
+        With `left`, `beside`, `doubted` and `unlisted` updated.
     """
+    explained = {slot.own.id: slot.own.found.likelihood_ratio for slot in known.slots}
     if found := _in_place_of_fields(known, report):
-        return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
+        return _unlisted(judgement, found, [
+            name for name in explained if _is_field(EFFECTS[name])])
     if found := known.term_beside(known.fit, report):
-        shown = max((slot.own.found.likelihood_ratio for slot in known.slots
-                     if slot.own.id in judgement.named), default=0.0)
+        shown = max((explained[name] for name in judgement.named), default=0.0)
         if not judgement.left and 2 * found.gain < SMALL * shown:
             return replace(judgement, beside=(_as_map(found), *judgement.beside))
-        return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
-    unseen = [_in_no_shape(slot.own) for slot in _likely(known)
-              if not slot.own.found.shape_seen]
-    return replace(judgement, left=(*judgement.left, *unseen))
+        return _unlisted(judgement, found, [
+            name for name, ratio in explained.items() if ratio < 2 * found.gain])
+    unseen = [slot.own for slot in _likely(known) if not slot.own.found.shape_seen]
+    most = max((explained[one.id] for one in unseen), default=0.0)
+    any_field = any(_is_field(EFFECTS[one.id]) for one in unseen)
+    return replace(judgement, left=(*judgement.left, *map(_in_no_shape, unseen)), doubted=(
+        *judgement.doubted, *(name for name, ratio in explained.items() if ratio <= most
+                              or (any_field and _is_field(EFFECTS[name])))))
+
+
+def _unlisted(judgement: Judgement, found: Finding, doubted: Sequence[str]) -> Judgement:
+    """Return the judgement with a learned term that puts effects in doubt."""
+    return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True,
+                   doubted=(*judgement.doubted, *doubted))
+
+
+def _is_field(kind: type[Effect]) -> bool:
+    """Return whether an effect is a drift that depends on place, or on nothing."""
+    return kind.overrides('drift') and kind.time_invariant
 
 
 def _in_place_of_fields(known: Hypotheses, report: Callable[[str], None]) -> Finding | None:
@@ -271,9 +299,7 @@ def _in_place_of_fields(known: Hypotheses, report: Callable[[str], None]) -> Fin
     Each effect pays for the library, as the term does for all terms tried. A drift, a flow and a
     spot are a series for any field, and pass one by one.
     """
-    kinds = {slot.own.id: EFFECTS[slot.own.id] for slot in known.slots}
-    fields = [slot.own for slot in known.slots
-              if kinds[slot.own.id].overrides('drift') and kinds[slot.own.id].time_invariant]
+    fields = [slot.own for slot in known.slots if _is_field(EFFECTS[slot.own.id])]
     if not fields:
         return None
     rest = known.start

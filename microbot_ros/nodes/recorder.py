@@ -47,8 +47,8 @@ class RecorderParameters:
     folder: str = setting(
         '', 'Folder of the next recording; empty makes one in ./recordings named after the time.')
     topics: list[str] = setting(
-        [], 'What to record; empty records frames, particles, goals, commands, currents, estimates '
-            'and health, but not `overlay/image_raw`.', read_only=True)
+        [], 'What to record; empty records frames, particles, goals, commands, currents, '
+            'estimates and health, but not `overlay/image_raw`.', read_only=True)
     frame_every: int = setting(
         1, 'Record every n-th camera frame; 0 records none.', lower=0, upper=1000)
     title: str = setting(

@@ -279,9 +279,13 @@ def test_a_field_of_place_is_asked_for_in_place_of_the_names_that_stand_in_for_i
     _, known = _considered(1, (hidden,), 20.0, experiments=6)
     assert known.names
     assert learn_term(known.fit) is None
-    told = scrutinised(known, judge(known))
+    judged = judge(known)
+    told = scrutinised(known, judged)
     assert told.unlisted != in_a_list
     assert in_a_list or told.left[0].against == 'position'
+    assert not in_a_list or not told.doubted
+    # Nor are they named where prediction needs no more than what stands in.
+    assert told.foretelling_nothing().named == (judged.named if in_a_list else ())
 
 
 def test_what_is_surely_there_in_a_shape_that_was_not_seen_vouches_for_no_name():

@@ -57,17 +57,22 @@ def test_gap_is_the_distance_that_the_drift_carries(drifting):
     assert gap.floor == pytest.approx(np.sqrt(2 * diffusion + 2 * 0.1e-6**2), rel=0.1)
 
 
-@pytest.mark.parametrize(('after', 'learned', 'worth'), [
-    (1.5, 1.0, True), (1.005, 1.0, False), (1.0, 1.5, False), (1.1, None, True),
-    (1.005, None, False), (0.5, None, False)])
-def test_what_foretells_nothing_is_not_worth_explaining(drifting, after, learned, worth):
-    """A hundredth of the squared noise floor, of what a term closes or of what is left."""
+@pytest.mark.parametrize(('after', 'learned', 'worth', 'in_doubt'), [
+    (1.5, 1.0, True, True), (1.005, 1.0, False, True), (1.0, 1.5, False, True),
+    (1.1, None, True, True), (1.005, None, False, True), (0.5, None, False, True),
+    (1.005, 1.995, False, False)])
+def test_what_foretells_nothing_is_not_worth_explaining(drifting, after, learned, worth, in_doubt):
+    """A hundredth of the squared noise floor, of what a term closes or of what is left.
+
+    Beside effects that may stand in for another cause, of what is there without them.
+    """
     fit = drifting.current
     squared = held_out_gap(fit, drifting.sessions, ()).floor ** 2
     squares = {'before': 2.0, 'after': after} | ({} if learned is None else {'learned': learned})
     held = HeldOut(1.0, {name: np.full(40, one * squared) for name, one in squares.items()},
                    np.arange(40) // 2)
     assert held.worth_explaining(fit) == worth
+    assert held.worth_explaining(fit, 'before') == in_doubt
 
 
 def test_nothing_held_out_leaves_the_verdict(drifting):

@@ -100,7 +100,7 @@ class HeldOut:
             return UNKNOWN
         return mean_by_stretch(self.squares[one] - self.squares[other], self.stretch)
 
-    def worth_explaining(self, fit: ModelFit) -> bool:
+    def worth_explaining(self, fit: ModelFit, beyond: str = 'after') -> bool:
         """Return whether something beside the effects of a fit is predictable, or could be.
 
         A learned term has to lower the squared error. Without a term, the prediction error has to
@@ -110,6 +110,9 @@ class HeldOut:
         ----------
         fit : ModelFit
             Fit whose noise makes the floor.
+        beyond : str
+            Model whose error is to be lowered: 'before' where the effects of the fit themselves
+            may stand in for another cause.
 
         Returns
         -------
@@ -118,7 +121,7 @@ class HeldOut:
         """
         floor = _floor(fit, self.horizon)
         squares = self.squares
-        better = squares['after'] - squares.get('learned', floor**2)
+        better = squares[beyond] - squares.get('learned', floor**2)
         return not better.size or bool(better.mean() > (WORTH * floor) ** 2)
 
 
