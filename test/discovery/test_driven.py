@@ -298,6 +298,8 @@ def test_what_is_surely_there_in_a_shape_that_was_not_seen_vouches_for_no_name()
         assert [one.against for one in told.left] == left
         assert all(one.fires for one in told.left)
         assert not told.unlisted
+        # It may itself stand in for another field of place.
+        assert ('hot_spot' in told.doubted) == bool(left)
 
 
 # Design -----------------------------------------------------------------------------------------
