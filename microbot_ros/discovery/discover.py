@@ -192,7 +192,7 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
 
 
 def _reservations(known: Hypotheses, judgement: Judgement) -> list[str]:
-    """Return a sentence on each effect that is small, contradicted or was recorded briefly."""
+    """Return a sentence on each effect that is not named, or was recorded briefly, with why."""
     told = []
     for name in judgement.of_instrument:
         effect = known.fit.model.effect(name)
@@ -205,6 +205,10 @@ def _reservations(known: Hypotheses, judgement: Judgement) -> list[str]:
         f'{words(name)}: not the same in the whole recording, and not named. Its strength in one '
         'half, of the time or of the particles, predicts the other half worse than no effect.'
         for name in judgement.contradicted]
+    told += [
+        f'{words(name)}: not named, since it explains less than what is left beside it. It may '
+        'stand in for another cause.' for name in dict.fromkeys(judgement.doubted)
+        if not (judgement.left or name in (*judgement.named, *judgement.contradicted))]
     return told + [
         f'{words(name)}: recorded for less than {EFFECTS[name].lookalike_time:.0f} s. In that '
         'time another quantity that varies with position or time can look like it.'

@@ -58,3 +58,21 @@ def test_what_is_contradicted_is_told_and_not_named(film, of, named):
     told = any('not the same in the whole recording' in one
                for one in _reservations(known, judgement))
     assert told != bool(named)
+
+
+@pytest.mark.parametrize('doubted', [(), ('uniform_drift',)])
+def test_what_explains_less_than_what_is_left_is_told_and_not_named(film, doubted):
+    sessions, _ = check_sessions([drifting(film)])
+    start = fit_first_order(sessions)
+    own = Candidate.of(fit_candidate(start, 'uniform_drift'))
+    known = Hypotheses(start, own.found.fit, (Slot(start, own, ()),), ())
+    judgement = judge(known)
+    one = next(m for m in judgement.maps if m.against == 'time')
+    judgement = replace(judgement, left=(one,), doubted=doubted)
+    assert judgement.status('uniform_drift') == 'proxy'
+    assert not any('stand in' in one for one in _reservations(known, judgement))
+    judgement = judgement.foretelling_nothing()
+    assert judgement.beside[0] is one
+    assert judgement.verdict == ('consistent' if doubted else 'named')
+    assert judgement.status('uniform_drift') == ('suggested' if doubted else 'established')
+    assert any('stand in' in one for one in _reservations(known, judgement)) == bool(doubted)
