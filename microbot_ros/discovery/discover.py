@@ -105,7 +105,7 @@ def discover(sessions: Sequence[Session],
     predicted = hold_out(
         learned.fit if learned else known.fit, [p.session for p in start.session_fits],
         known.credible, truth, run, partial(relearn, learned.findings) if learned else None)
-    beyond = 'before' if judgement.doubted else 'after'
+    beyond = 'before' if judgement.rests_on_doubt(known) else 'after'
     if judgement.left and not predicted.worth_explaining(known.fit, beyond):
         judgement = judgement.foretelling_nothing()
     complete = judgement.verdict != 'unnamed'
@@ -206,8 +206,8 @@ def _reservations(known: Hypotheses, judgement: Judgement) -> list[str]:
         'half, of the time or of the particles, predicts the other half worse than no effect.'
         for name in judgement.contradicted]
     told += [
-        f'{words(name)}: not named, since it explains less than what is left beside it. It may '
-        'stand in for another cause.' for name in dict.fromkeys(judgement.doubted)
+        f'{words(name)}: not named, since it may stand in for another cause, which explains more '
+        'or whose shape the recording does not show.' for name in dict.fromkeys(judgement.doubted)
         if not (judgement.left or name in (*judgement.named, *judgement.contradicted))]
     return told + [
         f'{words(name)}: recorded for less than {EFFECTS[name].lookalike_time:.0f} s. In that '

@@ -86,8 +86,9 @@ class Judgement:
     contradicted : tuple of str
         Effects of the model that one half of the recordings foretells wrongly for the other half.
     doubted : tuple of str
-        Effects of the model that may stand in for another cause: a residual map or a learned term
-        in `left` explains more, or their shape was not seen, or they are `contradicted`.
+        Effects of the model that may stand in for another cause: without them a residual map
+        explains more than they do, or a learned field takes their place, or the shape of one of
+        them was not seen, or they are `contradicted`.
     maps : tuple of ResidualMap
         All residual maps of the model.
     """
@@ -150,6 +151,22 @@ class Judgement:
         return replace(self, named=named, left=rhythm, beside=(*beside, *self.beside),
                        unlisted=False)
 
+    def rests_on_doubt(self, known: Hypotheses) -> bool:
+        """Return whether the effect that explains most is in doubt.
+
+        Parameters
+        ----------
+        known : Hypotheses
+            Models that may explain the data.
+
+        Returns
+        -------
+        bool
+            False without effects.
+        """
+        most = max(known.slots, key=lambda slot: slot.own.found.likelihood_ratio, default=None)
+        return most is not None and most.own.id in self.doubted
+
     @property
     def answered(self) -> bool:
         """Whether the judgement is settled, or the cause is known to be in no list."""
@@ -205,9 +222,7 @@ def _left(
     left = [m for m in maps if m.decides]
     beside = [m for m in maps if m.fires and not m.decides]
     worst = max(left, key=_excess, default=None)
-    doubted = [slot.own.id for slot in known.slots
-               if worst and slot.own.found.likelihood_ratio < _excess(worst)]
-    doubts, small = [], False
+    doubts, doubted, small = [], [], False
     for slot in _likely(known):
         alone = residual_maps(slot.rest, run)
         most = slot.own.found.log_p + likelier_than_not() - BETTER
@@ -272,8 +287,7 @@ def scrutinised(known: Hypotheses, judgement: Judgement,
         shown = max((explained[name] for name in judgement.named), default=0.0)
         if not judgement.left and 2 * found.gain < SMALL * shown:
             return replace(judgement, beside=(_as_map(found), *judgement.beside))
-        return _unlisted(judgement, found, [
-            name for name, ratio in explained.items() if ratio < 2 * found.gain])
+        return _unlisted(judgement, found)
     unseen = [slot.own for slot in _likely(known) if not slot.own.found.shape_seen]
     most = max((explained[one.id] for one in unseen), default=0.0)
     any_field = any(_is_field(EFFECTS[one.id]) for one in unseen)
@@ -282,8 +296,8 @@ def scrutinised(known: Hypotheses, judgement: Judgement,
                               or (any_field and _is_field(EFFECTS[name])))))
 
 
-def _unlisted(judgement: Judgement, found: Finding, doubted: Sequence[str]) -> Judgement:
-    """Return the judgement with a learned term that puts effects in doubt."""
+def _unlisted(judgement: Judgement, found: Finding, doubted: Sequence[str] = ()) -> Judgement:
+    """Return the judgement with a learned term, which may put effects in doubt."""
     return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True,
                    doubted=(*judgement.doubted, *doubted))
 
