@@ -61,7 +61,7 @@ def test_what_is_contradicted_is_told_and_not_named(film, of, named):
 
 
 @pytest.mark.parametrize('doubted', [(), ('uniform_drift',)])
-def test_what_explains_less_than_what_is_left_is_told_and_not_named(film, doubted):
+def test_what_is_in_doubt_is_told_and_not_named(film, doubted):
     sessions, _ = check_sessions([drifting(film)])
     start = fit_first_order(sessions)
     own = Candidate.of(fit_candidate(start, 'uniform_drift'))
