@@ -45,7 +45,8 @@ def run_kept(path: Path, cases: Iterable[Given], judge: Callable[[Given], Judged
         bar = shown.add_task(path.stem, total=len(missing))
         while missing or pending:
             while missing and len(pending) < jobs:
-                pending[pool.submit(judge, missing[0])] = missing.pop(0)
+                case = missing.pop(0)
+                pending[pool.submit(judge, case)] = case
             for done in wait(pending, return_when=FIRST_COMPLETED).done:
                 key, told = _key(pending.pop(done)), dataclasses.asdict(done.result())  # type: ignore[call-overload]
                 kept.write(json.dumps({'code': code, 'case': key, 'outcome': told},

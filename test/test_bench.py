@@ -6,11 +6,13 @@ import importlib
 import json
 import statistics
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from bench import __main__ as main
+from bench._kept import run_kept
 from bench.figure import Figure, Timing, seconds
 
 GOOD = """
@@ -84,6 +86,27 @@ def test_a_time_has_the_spread_of_its_rounds_and_a_ratio_of_both(
     assert (found / found).spread == pytest.approx(2**0.5 * found.spread / 3)
     assert (1e3 * found, (1e3 * found).spread) == (3e3, 1e3 * found.spread)
     assert main._entry(Figure(1, 'x', found / 2, '', '', '', True))['spread'] == found.spread / 2
+
+
+@dataclass(frozen=True)
+class Squared:
+    of: int
+    square: int
+
+
+def square(number: int) -> Squared:
+    return Squared(number, number**2)
+
+
+def test_an_outcome_is_kept_under_its_own_case_and_each_is_judged_once(tmp_path: Path) -> None:
+    path = tmp_path / 'squares.jsonl'
+    expected = [Squared(number, number**2) for number in range(5)]
+    assert run_kept(path, range(5), square, lambda told: Squared(**told)) == expected
+    lines = [json.loads(line) for line in path.read_text('utf-8').splitlines()]
+    assert sorted((line['case'], line['outcome']['of']) for line in lines) == [
+        (str(number), number) for number in range(5)]
+    assert run_kept(path, range(5), square, lambda told: Squared(**told)) == expected
+    assert len(path.read_text('utf-8').splitlines()) == 5
 
 
 @pytest.mark.rig
