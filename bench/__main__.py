@@ -38,8 +38,9 @@ GROUPS = sorted(
 )
 TOTAL_S = 58 * 60
 """Time of all groups together, unless they run in full: an hour with what starts and ends."""
-GROUP_S = 10 * 60
-"""Time of one group, unless it runs in full or alone."""
+GROUP_S, PARTS = 10 * 60, 4
+"""Most time of one group, unless it runs in full or alone: in all, and as so many times its part
+of what is left to it and those after it, so that the last have time as well."""
 SHARE_S = 90
 """Time in which such a group begins cases that it keeps: the next run goes on with others."""
 _GRACE_S = 10.0
@@ -67,8 +68,11 @@ def main() -> int:
         os.environ['MICROBOT_BENCH_SHARE_S'] = str(SHARE_S)
     entries: list[dict[str, Any]] = []
     deadline = time.monotonic() + (math.inf if chosen.full or chosen.only else TOTAL_S)
-    for group in [chosen.only] if chosen.only else GROUPS:
-        limit = math.inf if math.isinf(deadline) else min(GROUP_S, deadline - time.monotonic())
+    groups = [chosen.only] if chosen.only else GROUPS
+    for before, group in enumerate(groups):
+        limit = deadline - time.monotonic()
+        if math.isfinite(limit):
+            limit = min(GROUP_S, PARTS * limit / (len(groups) - before), limit)
         entries += run(group, limit)
         write_text(Path('out/bench.json'), _as_json(entries))
     _show(entries)

@@ -22,7 +22,7 @@ from microbot_ros.common.units import to_si
 from microbot_ros.estimation.likelihood.noise import Noise, whiten
 from microbot_ros.estimation.likelihood.prepared_session import distances
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.model.increments import increments, respond
+from microbot_ros.model.increments import respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.physics.langevin import Path
 from microbot_ros.model.physics.particle import Fluid
@@ -278,15 +278,16 @@ class Yardstick:
         speed = swarm['gain'] if self._baseline.propulsion == 'rolling' else swarm['speed']
         particles = ParticleParameters(np.arange(len(swarm)), speed, swarm['phi'])
         timeline = Timeline(self.commands, self.path.t, self.path.position)
-        plain = increments(self._baseline, particles, timeline)
+        plain = respond(self._baseline, timeline).increments(particles)
         if effect == 'drive_response':  # filmed with the mechanics of rollers, not with curves
             roller = swarm[:1].copy()
             inject_effect(roller, effect, _ROLLS_ALWAYS | parameters, FIELD)
             turns = np.array([roll_frequency(roller[0], f) for f in self.commands.frequency])
             rolled = Timeline(replace(self.commands, frequency=turns), self.path.t)
-            return _sum(increments(self._baseline, particles, rolled) - plain)
+            return _sum(respond(self._baseline, rolled).increments(particles) - plain)
         added = kind(**{p.field: to_si(p.name, parameters[p.name]) for p in kind.parameters()})
-        return _sum(increments(self._baseline.with_effect(added), particles, timeline) - plain)
+        more = respond(self._baseline.with_effect(added), timeline)
+        return _sum(more.increments(particles) - plain)
 
     @property
     def _baseline(self) -> Model:

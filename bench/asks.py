@@ -32,7 +32,7 @@ from bench._asks_worlds import hidden_world
 from bench._driven_rig import SimulatedRig
 from bench._hidden_effects import LISTED, UNLISTED
 from bench._kept import in_turns, run_kept
-from bench.figure import Figure, sized
+from bench.figure import FULL, Figure, sized
 from microbot_ros.discovery.driven.design import Design, Question, Range, Search, random_steps
 from microbot_ros.discovery.driven.drive import Driven, drive
 from microbot_ros.estimation.likelihood.model_fit import ModelFit
@@ -117,7 +117,8 @@ def figures() -> Iterator[Figure]:
     runs = run_kept(Path('out/asks.jsonl'), every_case(), run, _again)
     yield from score(runs)
     yield _design_seconds()
-    yield from _asks_graph.figures()
+    if FULL:
+        yield from _asks_graph.figures()
 
 
 def every_case() -> list[Case]:

@@ -11,7 +11,7 @@ from microbot_ros.common.records import Commands
 from microbot_ros.model.effects.field.background_field import BackgroundField
 from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
 from microbot_ros.model.first_order import simulate
-from microbot_ros.model.increments import increments
+from microbot_ros.model.increments import respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
 
@@ -69,8 +69,8 @@ def _increments() -> list[Figure]:
     algebraic = Model(_FIELD, effects=(BackgroundField(1e-4, 2e-4),))
     lag = Model(_FIELD, effects=(AlignmentLag(0.2),))
     spent = seconds(
-        lambda: increments(algebraic, particles, timeline),
-        lambda: increments(lag, particles, timeline), rounds=31,
+        lambda: respond(algebraic, timeline).increments(particles),
+        lambda: respond(lag, timeline).increments(particles), rounds=31,
     )
     return [
         Figure(3, f'increments of 4 particles × 1,800 frames, {name}', 1e3 * time, 'ms',
