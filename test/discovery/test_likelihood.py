@@ -84,6 +84,34 @@ def test_the_filter_without_heading_noise_is_the_plain_one():
     assert noisy[1:3] == pytest.approx(plain[1:])
 
 
+def integrated_heading(times, rate):
+    """Covariance of ∫η dt from 0 to t and t', ∫∫ e^{−κ|s−u|}/κ, over D_r."""
+    t, u = np.minimum(times[:, None], times), np.maximum(times[:, None], times)
+    return (2 * t / rate + (np.exp(-rate * t) + np.exp(-rate * u) - 1
+                            - np.exp(-rate * (u - t))) / rate**2) / rate
+
+
+def test_the_filter_expects_the_heading_that_the_readings_so_far_imply():
+    """Against the expectation under the covariance of headings and readings, in closed form."""
+    rng, count, h, rate, ratio, noise_ratio = np.random.default_rng(5), 12, 0.05, 4.0, 3.0, 0.02
+    times, speed = h * np.arange(count), 0.7 - 0.4j
+    z = 0.3 * (rng.normal(size=count) + 1j * rng.normal(size=count))
+    calm, steady = np.zeros((count, 1), complex), np.zeros((count - 1, 1))
+    *_, factors = whiten_with_heading(
+        times, np.ones((count, 1), int), z[:, None, None], noise_ratio, noise_ratio, ratio,
+        np.full((count - 1, 1), speed * (1 - np.exp(-rate * h)) / rate),
+        np.full((count - 1, 1), np.exp(-rate * h)), calm, 0.0, steady, steady.astype(complex))
+    v, since = np.array([speed.real, speed.imag]), times[-1] - times
+    covariance = np.kron(np.outer(v, v), ratio * integrated_heading(times, rate))
+    covariance += np.kron(np.eye(2), brownian(times, noise_ratio))
+    with_heading = np.kron(v, ratio / rate**2 * (np.exp(-rate * since) - np.exp(-rate * since[0])))
+    # The first reading says where it is, and nothing of the heading.
+    steps = np.kron(np.eye(2), np.eye(count)[1:] - np.eye(count)[0])
+    known = steps @ np.concatenate([z.real, z.imag])
+    expected = steps @ with_heading @ np.linalg.solve(steps @ covariance @ steps.T, known)
+    assert factors[-1, 0, 3] == pytest.approx(expected, rel=1e-9)
+
+
 @pytest.mark.parametrize('size', [0.0, 0.6])
 def test_the_filter_whitens_heading_noise(size):
     """Against the covariance of an Ornstein–Uhlenbeck heading, integrated in closed form.
@@ -104,11 +132,7 @@ def test_the_filter_whitens_heading_noise(size):
         return whiten_with_heading(times, pieces, columns, noise_ratio, noise_ratio, ratio,
                                    sensitivity, retention, swing, wander, kick, stride)[0]
 
-    # ∫∫ (D_r/κ) e^{−κ|s−u|} from 0 to t and t': the covariance of the integrated heading.
-    t, u = np.minimum(times[:, None], times), np.maximum(times[:, None], times)
-    path = ratio / rate * (
-        2 * t / rate + (np.exp(-rate * t) + np.exp(-rate * u) - 1
-                        - np.exp(-rate * (u - t))) / rate**2)
+    path = ratio * integrated_heading(times, rate)
     v = np.array([speed.real, speed.imag])
     across = np.array([-speed.imag, speed.real])
     walked = np.tri(count, count - 1, -1)

@@ -274,12 +274,15 @@ def _by_headings(here: SessionFit, left: np.ndarray, ahead: int) -> np.ndarray |
     noise = here.whitening
     if noise.sensitivity is None or noise.retention is None or noise.fluctuation is not None:
         return 0.0
-    from microbot_ros.estimation.likelihood.kernels import filter_headings
+    from microbot_ros.estimation.likelihood.kernels import whiten_with_heading
 
     session = here.session
-    deviation = filter_headings(session.times, session.pieces, left, noise.noise_ratio,
-                                noise.diffusion_ratio, noise.sensitivity, noise.retention)
-    deviation, further = deviation[:-ahead], np.zeros_like(left[ahead:])
+    *_, factors = whiten_with_heading(
+        session.times, session.pieces, np.ascontiguousarray(left)[..., None], noise.noise_ratio,
+        noise.noise_ratio, noise.diffusion_ratio, noise.sensitivity, noise.retention,
+        np.zeros_like(left), 0.0, np.zeros_like(noise.retention),
+        np.zeros_like(noise.sensitivity))
+    deviation, further = factors[:-ahead, :, 3], np.zeros_like(left[ahead:])
     for k in range(ahead):
         rows = slice(k, k + len(further))
         further += noise.sensitivity[rows] * deviation

@@ -225,7 +225,7 @@ def _parabola(fit: SessionFit, noise_at: Callable[[np.ndarray], Whitening], u: n
         one = SessionFit(session, noise, expected, inner(white), log_det, count, white)
         used = factors[..., 0] > 0
         left = one.residual[used] * math.sqrt(one.diffusion / fit.diffusion)
-        return one.restricted_log_likelihood, factors[used].T, left
+        return one.restricted_log_likelihood, factors[used].T[:3], left
 
     likelihood, (a, b, c), left = rows(fit.whitening)
     slope, parts = np.empty(len(u)), np.empty((len(u), 5, len(left)))

@@ -171,7 +171,7 @@ class Whitening:
         -------
         white, log_det, count
             As by `apply`.
-        factors : ndarray, shape (T, N, 3)
+        factors : ndarray, shape (T, N, 4)
             As by `kernels.whiten_with_heading`.
         """
         from microbot_ros.estimation.likelihood.kernels import whiten_with_heading

@@ -534,12 +534,12 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
         ½ log det of the innovations over both axes.
     used : int
         Rows used.
-    factors : ndarray, shape (T, N, 3)
-        Elements xx, yx and yy of the triangular matrices by which innovations become white; 0 in
-        unused rows.
+    factors : ndarray, shape (T, N, 4)
+        Elements xx, yx and yy of the triangular matrices by which innovations become white, and
+        the deviation along the sensitivity of the first column; 0 in unused rows.
     """
     T, N, M = columns.shape
-    out, factors = np.zeros((T, N, M), np.complex128), np.zeros((T, N, 3))
+    out, factors = np.zeros((T, N, M), np.complex128), np.zeros((T, N, 4))
     log_det, used, product = 0.0, 0, 1.0
     noises = _heading_noises(times, diffusion_ratio, retention)
     place, turn = np.zeros(M, np.complex128), np.zeros(M, np.complex128)
@@ -567,7 +567,7 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
                 i, j = _taken(place, turn, m, columns[k, n, m], gains)
                 out[k, n, m] = complex(i * scale_x, (j - lean * i) * scale_y)
             factors[k, n, 0], factors[k, n, 1] = scale_x, -lean * scale_y
-            factors[k, n, 2] = scale_y
+            factors[k, n, 2], factors[k, n, 3] = scale_y, turn[0].real
     return out, log_det + 0.5 * math.log(product), used, factors
 
 
@@ -631,48 +631,3 @@ def whitened_products_with_heading(  # type: ignore[no-untyped-def]
             for other in range(m):
                 gram[other, m] = gram[m, other]
     return products, log_det + 0.5 * math.log(product), used
-
-
-@numba.njit(**_KEPT)
-def filter_headings(  # type: ignore[no-untyped-def]
-        times, pieces, left, noise_ratio, diffusion_ratio, sensitivity, retention):
-    """Estimate the deviations of headings from those of a model, from the rows so far.
-
-    Parameters
-    ----------
-    times, pieces, noise_ratio
-        As for `whiten_columns`.
-    left : ndarray of complex, shape (T, N)
-        Positions less what the model expects [m].
-    diffusion_ratio, sensitivity, retention
-        As for `whiten_with_heading`.
-
-    Returns
-    -------
-    ndarray, shape (T, N)
-        Deviations [rad]; 0 in unused rows.
-    """
-    T, N = left.shape
-    out = np.zeros((T, N))
-    noises = _heading_noises(times, diffusion_ratio, retention)
-    place, turn = np.zeros(1, np.complex128), np.zeros(1, np.complex128)
-    wander, kick, stride = 0.0, np.zeros_like(retention), np.zeros_like(sensitivity)
-    for n in range(N):
-        piece = 0
-        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        for k in range(T):
-            if piece:
-                covariance = _carry(covariance, place, turn, k, n, times, noises,
-                                    diffusion_ratio, sensitivity, retention, wander, kick, stride)
-            if not pieces[k, n]:
-                continue
-            if pieces[k, n] != piece:
-                piece = pieces[k, n]
-                covariance = _begun(noise_ratio, noise_ratio, 0j, _stationary_variance(
-                    diffusion_ratio, times, retention, k, n), wander)
-                place[0], turn[0] = left[k, n], 0j
-                continue
-            covariance, gains, _, _ = _seen(covariance, noise_ratio, noise_ratio, 0j)
-            _taken(place, turn, 0, left[k, n], gains)
-            out[k, n] = turn[0].real
-    return out

@@ -44,8 +44,11 @@ class Mixture(NamedTuple):
     cross: np.ndarray
 
 
+_TINY = np.finfo(float).tiny  # divides 0 without harm
+
+
 class PhasorBank:
-    """Kalman filters of (p, c) in dp = c dU + dW + diffusion, z = p + noise.
+    """Kalman filters of (p, c, s) in dp = c dU − i b s + dW + diffusion, z = p + noise.
 
     p is the position [m] and c the `velocity_phasor` v e^{iφ} [m/s, for rollers m/s/Hz]; all
     arrays are (K, N), for K hypotheses and N particles.
@@ -56,6 +59,14 @@ class PhasorBank:
     updated by products of positive numbers, so P is positive definite by construction. With
     constant c the recursion is least squares on increments that are whitened exactly for diffusion
     and localisation noise.
+
+    Where headings align at a finite rate, rotational diffusion makes them deviate by η from the
+    course of the model. A deviation decays slowly, or grows while a turn is sharper than 90°. In
+    the frame of c it is s = i c η, and displacements gain −i b s, with b the derivative of
+    ∫e^{i(θ−φ)} dt by the heading. That is linear again. The noise acts across the direction of
+    travel; its variance is split equally between the axes, which keeps the covariance isotropic.
+    Given c, s has variance `s_var`, regression `gs` on c, and covariance `ps` = ½ E p̃ s̃*. All
+    four are 0 until `predict_deviation`.
 
     Hypothesis 0 is "nothing changed"; slot j > 0 is "c changed when this slot was opened". Slot j
     is reopened every 2ʲ ticks (the last as often as the one before it), so the bank always has
@@ -79,7 +90,7 @@ class PhasorBank:
     """
 
     _ARRAYS: ClassVar[tuple[str, ...]] = (
-        'p', 'velocity_phasor', 'g', 'p_var', 'phasor_var', 'log_weight')
+        'p', 'velocity_phasor', 'g', 'p_var', 'phasor_var', 'log_weight', 's', 'gs', 'ps', 's_var')
     """Names of all arrays (K, N)."""
 
     def __init__(self, changes: int, paces: Sequence[float] = ()) -> None:
@@ -92,6 +103,8 @@ class PhasorBank:
         self.p_var = np.zeros(shape)
         self.phasor_var = np.zeros(shape)
         self.log_weight = np.zeros(shape)
+        self.s, self.gs, self.ps = np.zeros((3, *shape), complex)
+        self.s_var = np.zeros(shape)
         self._ticks = 0
 
     def add(self, position: np.ndarray, p_var: np.ndarray, phasor_var: float) -> None:
@@ -121,6 +134,8 @@ class PhasorBank:
             'p': np.broadcast_to(position, shape), 'velocity_phasor': np.zeros(shape, complex),
             'g': np.zeros(shape, complex), 'p_var': np.broadcast_to(p_var, shape),
             'phasor_var': np.full(shape, phasor_var), 'log_weight': log_weight,
+            **dict(zip(('s', 'gs', 'ps'), np.zeros((3, *shape), complex), strict=True)),
+            's_var': np.zeros(shape),
         }
 
     def scale_velocity_phasor(self, factor: complex) -> None:
@@ -144,6 +159,35 @@ class PhasorBank:
         for name in self._ARRAYS:
             # Another memory layout would be compiled separately.
             setattr(self, name, getattr(self, name)[:, particles].copy('C'))
+
+    def predict_deviation(
+        self, sensitivity: np.ndarray, retention: np.ndarray, heading_noise: float,
+    ) -> None:
+        """Advance the deviations of headings to the next frame, and p by them; before `predict`.
+
+        Parameters
+        ----------
+        sensitivity : ndarray of complex, shape (N,)
+            Derivative of the path by the heading at the last frame [s], from
+            `model.increments.heading_response`.
+        retention : ndarray, shape (N,)
+            Fraction of a deviation that remains at the next frame.
+        heading_noise : float
+            Variance 2 D_r h that rotational diffusion adds [rad²].
+        """
+        b = -1j * sensitivity
+        floor = 1e-9 * (self.p_var + np.abs(b) ** 2 * self.s_var)
+        self.p += b * self.s
+        self.g += b * self.gs
+        self.p_var = np.maximum(
+            self.p_var + 2 * np.real(np.conj(b) * self.ps) + np.abs(b) ** 2 * self.s_var, floor
+        )
+        self.s *= retention
+        self.gs *= retention
+        ps = retention * (self.ps + b * self.s_var)
+        added = np.abs(self.velocity_phasor) ** 2 * heading_noise / 2
+        self.s_var = retention**2 * self.s_var + added
+        self.ps = _bounded(ps, self.p_var, self.s_var)
 
     def predict(
         self, path: np.ndarray, drift: np.ndarray, diffused: float, wander: np.ndarray,
@@ -177,7 +221,7 @@ class PhasorBank:
             Which particles have a reading.
         """
         _update(self.p, self.velocity_phasor, self.g, self.p_var, self.phasor_var,
-                self.log_weight, z, noise, seen)
+                self.log_weight, self.s, self.gs, self.ps, self.s_var, z, noise, seen)
 
     def restart(
         self, rows: np.ndarray, z: np.ndarray, noise: np.ndarray, phasor_var: float,
@@ -284,8 +328,12 @@ class PhasorBank:
         left = merged.p_var - np.abs(merged.cross) ** 2 / merged.phasor_var
         # Exactly, a mixture is never narrower than its narrowest part; rounding could be.
         self.p_var[0] = np.maximum(left, self.p_var[pair].min(axis=0))
-        second: np.ndarray = share[1]
-        return second
+        changed: np.ndarray = share[1]
+        for name in ('s', 'gs', 'ps', 's_var'):
+            array = getattr(self, name)
+            array[0] = np.where(changed > 0.5, array[slot], array[0])
+        self.ps = _bounded(self.ps, self.p_var, self.s_var)
+        return changed
 
     def _open(
         self, slot: int, probability: float, change_var: np.ndarray, phasor_var_max: float,
@@ -299,6 +347,8 @@ class PhasorBank:
         self.p_var[slot] = self.p_var[0] + np.abs(self.g[0]) ** 2 * known * (1 - shared)
         self.g[slot] = self.g[0] * shared
         self.phasor_var[slot] = grown
+        self.gs[slot] = self.gs[0] * shared
+        self.s[slot], self.ps[slot], self.s_var[slot] = self.s[0], self.ps[0], self.s_var[0]
         self.log_weight[slot] = self.log_weight[0] + np.log(probability)
 
 
@@ -320,7 +370,8 @@ def _predict(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, error_model='numpy')
-def _update(p, c, g, p_var, phasor_var, log_weight, z, noise, seen):  # type: ignore[no-untyped-def]
+def _update(  # type: ignore[no-untyped-def]
+        p, c, g, p_var, phasor_var, log_weight, s, gs, ps, s_var, z, noise, seen):
     """Update the arrays of `PhasorBank.update`."""
     hypotheses, count = p.shape
     for n in range(count):
@@ -329,15 +380,32 @@ def _update(p, c, g, p_var, phasor_var, log_weight, z, noise, seen):  # type: ig
             if seen[n]:
                 residual, given_c = z[n] - p[k, n], p_var[k, n] + noise[n]
                 total = p_var[k, n] + _square(g[k, n]) * phasor_var[k, n] + noise[n]
+                kept, deviates = noise[n] / given_c, s_var[k, n] > 0
+                if deviates:
+                    tie, back = ps[k, n].conjugate(), g[k, n].conjugate() * phasor_var[k, n]
+                    s[k, n] += (tie + gs[k, n] * back) / total * residual
+                    gs[k, n] -= tie / given_c * g[k, n]
+                    # At least the rest after a perfect correlation: positive despite rounding.
+                    learned = _square(ps[k, n]) / given_c
+                    s_var[k, n] = max(s_var[k, n] - learned, s_var[k, n] * kept)
                 c[k, n] += g[k, n].conjugate() * phasor_var[k, n] / total * residual
                 p[k, n] += (1 - noise[n] / total) * residual
                 phasor_var[k, n] *= given_c / total
-                g[k, n] *= noise[n] / given_c
-                p_var[k, n] *= noise[n] / given_c
+                g[k, n] *= kept
+                p_var[k, n] *= kept
+                if deviates:
+                    ps[k, n] = _bounded(ps[k, n] * kept, p_var[k, n], s_var[k, n])
                 log_weight[k, n] += -math.log(total) - _square(residual) / (2 * total)
             best = max(best, log_weight[k, n])
         for k in range(hypotheses):
             log_weight[k, n] -= best
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _bounded(ps, p_var, s_var):  # type: ignore[no-untyped-def]
+    """Return a covariance of p and s that rounding errors take to no correlation beyond 1."""
+    limit = np.sqrt(p_var * s_var)
+    return ps * (limit / np.maximum(np.maximum(np.abs(ps), limit), _TINY))
 
 
 @numba.njit(cache=True, error_model='numpy')

@@ -15,7 +15,6 @@ from microbot_ros.estimation.held import HeldWatch
 from microbot_ros.estimation.likelihood.noise import Noise, stokes_einstein
 from microbot_ros.estimation.online.commands import SET_BACK, CommandLog
 from microbot_ros.estimation.online.estimates import FASTEST, Estimates, Settings, State, answer
-from microbot_ros.estimation.online.heading_bank import HeadingBank
 from microbot_ros.estimation.online.jumps import JumpNotes
 from microbot_ros.estimation.online.monitor import Monitor
 from microbot_ros.estimation.online.population import AGAIN, Population, Readings
@@ -113,12 +112,6 @@ class Estimator:
     def _begin(self, model: Model) -> None:
         self._propagator = Propagator(model)
         self._population = Population(FASTEST / 2)
-        self._follow_headings()
-
-    def _follow_headings(self) -> None:
-        """Add heading deviations to the state where headings lag; else they are noise."""
-        if self.model.lags and self._rotational_diffusion > 0:
-            self._population.track_heading_deviations()
 
     @property
     def _rotational_diffusion(self) -> float:
@@ -158,7 +151,6 @@ class Estimator:
             The model.
         """
         self._propagator = Propagator(model)
-        self._follow_headings()
         self._monitor = Monitor()
         if self._shared is not None:
             self._shared.forget_model()
@@ -290,7 +282,8 @@ class Estimator:
         both = (np.broadcast_to(part, len(ids)).tolist() for part in (step.path, step.drift))
         self._moved = dict(zip(ids.tolist(), zip(*both, strict=True), strict=True))
         wander = (WANDER * np.abs(bank.velocity_phasor[0])) ** 2 * step.span
-        if isinstance(bank, HeadingBank):
+        # Where headings do not lag, their deviations are noise of the position.
+        if (self.model.lags and self._rotational_diffusion > 0) or bank.s_var.any():
             bent = self._propagator.heading_deviation(
                 self._log, shared.delay.value, start, frame.t
             )

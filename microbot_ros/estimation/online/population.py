@@ -10,7 +10,6 @@ import numpy as np
 
 from microbot_ros.common.compiled import numba
 from microbot_ros.estimation.online.bank import Mixture, PhasorBank
-from microbot_ros.estimation.online.heading_bank import HeadingBank
 
 HYPOTHESES = 7
 """Number of hypotheses: no change, or a change about 0.25, 0.5, 1, 2, 4 or 8 s ago.
@@ -129,11 +128,6 @@ class Population:
         self._phasor_mean, self._phasor_power = np.empty(0, complex), np.empty(0)
         """Means of c and |c|² over the last CALM seconds in which c was known, decaying."""
         self._next_tick = -np.inf
-
-    def track_heading_deviations(self) -> None:
-        """Add the heading deviation of each particle to the filter state."""
-        if not isinstance(self.bank, HeadingBank):
-            self.bank = HeadingBank.of(self.bank)
 
     def take(self, t: float, ids: np.ndarray, z: np.ndarray, reading: np.ndarray) -> Readings:
         """Gate the readings of a frame, admit new particles, and update the filter.
