@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from microbot_ros.cli.import_ import answer_options, answers
-from microbot_ros.cli.options import FiniteFloatRange, plausible_number
+from microbot_ros.cli.options import FiniteFloatRange, json_option, plausible_number
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -29,8 +28,7 @@ _COMMON = (
                  help='Processes on this machine; default: the number of cores.'),
     click.option('--scheduler', metavar='ADDRESS',
                  help='Address of a running Dask scheduler; its workers do the work.'),
-    click.option('--json', 'json_path', type=click.Path(path_type=Path),
-                 help='Write a summary of the work and its results as JSON to this file.'),
+    json_option('Write a summary of the work and its results as JSON to this file.'),
 )
 """Options of all tasks; numbers are the smallest allowed, by definition."""
 
@@ -155,7 +153,7 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
 
     from microbot_ros.archive import run_batch
     from microbot_ros.common.errors import ReportError
-    from microbot_ros.common.files import write_text
+    from microbot_ros.common.files import write_json
 
     if workers is not None and scheduler is not None:
         raise click.UsageError('expected either --workers or --scheduler')
@@ -163,10 +161,7 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
         summary, found = run_batch(task, folders, out, settings, workers, scheduler, shown.report)
     for line in _told(summary):
         shown.console.print(line, markup=False)
-    if json_path:
-        content = dataclasses.asdict(summary) | found
-        write_text(json_path, json.dumps(content, indent=1, ensure_ascii=False,
-                                         allow_nan=False) + '\n')
+    write_json(json_path, dataclasses.asdict(summary) | found)
     console = Console(highlight=False, soft_wrap=True)
     own = {'import': lambda: _assumed(found['imported']),
            'track': lambda: _beside_tables(found['films'])}.get(task, list)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange, force_option
+from microbot_ros.cli.options import FiniteFloatRange, force_option, json_option
 
 
 @click.command()
@@ -15,8 +15,7 @@ from microbot_ros.cli.options import FiniteFloatRange, force_option
               help='Folder for fit.json and fit.png.')
 @click.option('--exposure-ms', type=FiniteFloatRange(0, 10_000), default=0.0, show_default=True,
               help='Exposure time of a frame, for the blur of diffusion during it.')
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the content of fit.json to this file too.')
+@json_option('Write the content of fit.json to this file too.')
 @force_option
 def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None,
             force: bool) -> None:
@@ -32,11 +31,9 @@ def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None
       microbot simulate config/scenario_plain.yaml --out out/plain
       microbot fit out/plain --out out/fit
     """
-    import json
-
     from rich.console import Console
 
-    from microbot_ros.common.files import output_folder, refuse_to_overwrite, write_text
+    from microbot_ros.common.files import output_folder, refuse_to_overwrite, write_json
     from microbot_ros.estimation import report
     from microbot_ros.estimation.batch import fit
     from microbot_ros.session import read_session
@@ -47,12 +44,10 @@ def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None
         recording = read_session(session)
     with progress.status(f'fitting {len(recording.tracks.particles)} particles'):
         result = fit(recording, exposure_ms * 1e-3)
-    text = json.dumps(report.as_json(result), indent=1, ensure_ascii=False, allow_nan=False) + '\n'
     with output_folder(out) as folder:
-        write_text(folder / 'fit.json', text)
+        write_json(folder / 'fit.json', report.as_json(result))
         report.figure(result, folder / 'fit.png')
-    if json_path:
-        write_text(json_path, text)
+    write_json(json_path, report.as_json(result))
     console = Console(highlight=False)
     console.print(report.table(result))
     noise = result.noise

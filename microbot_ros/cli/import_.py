@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange, plausible_number
+from microbot_ros.cli.options import FiniteFloatRange, json_option, plausible_number
 from microbot_ros.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -67,8 +66,7 @@ def answer_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option('--out', type=click.Path(path_type=Path), required=True,
               help='Folder of the session to write.')
 @answer_options
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write findings and assumptions as JSON to this file.')
+@json_option('Write findings and assumptions as JSON to this file.')
 def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> None:
     """Convert SOURCE into a session: a spreadsheet, a delimited text file, or a folder of them.
 
@@ -86,7 +84,7 @@ def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> No
     """
     from rich.console import Console
 
-    from microbot_ros.common.files import write_text
+    from microbot_ros.common.files import write_json
     from microbot_ros.common.units import exact_display
     from microbot_ros.session import write_session
     from microbot_ros.session.spreadsheets.assemble import import_session
@@ -107,7 +105,7 @@ def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> No
             'pixel_size_um': session.conditions.pixel_size and float(
                 exact_display('pixel_size_um', session.conditions.pixel_size)),
         }
-        write_text(json_path, json.dumps(found, indent=1, ensure_ascii=False) + '\n')
+        write_json(json_path, found)
 
 
 def answers(*, columns: tuple[str, ...], **given: Any) -> Answers:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from microbot_ros.cli.options import json_option
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.files import write_text
+from microbot_ros.common.files import write_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument('session', type=click.Path(path_type=Path))
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the summary as JSON to this file.')
+@json_option('Write the summary as JSON to this file.')
 @click.option('--figure', type=click.Path(path_type=Path),
               help='Draw paths, commands and topics over time to this file.')
 @click.option('--repair', is_flag=True,
@@ -67,9 +66,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
         from microbot_ros.session.survey_figure import draw_survey
 
         draw_survey(found, content, figure)
-    if json_path:
-        text = json.dumps(dataclasses.asdict(found), indent=1, ensure_ascii=False)
-        write_text(json_path, text + '\n')
+    write_json(json_path, dataclasses.asdict(found))
 
 
 def _show(console: Console, found: Survey) -> None:

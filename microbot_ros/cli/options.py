@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 
 from microbot_ros.common.plausible import plausible_range
+
+CommandT = TypeVar('CommandT', bound=Callable[..., Any])
 
 namespace_option = click.option(
     '--namespace', default='/', show_default=True, metavar='NAME',
@@ -20,6 +24,22 @@ cockpit_option = click.option(
 
 force_option = click.option(
     '--force', is_flag=True, help='Replace the results of an earlier run.')
+
+
+def json_option(description: str) -> Callable[[CommandT], CommandT]:
+    """Return the option `--json` of a command, which is its argument `json_path`.
+
+    Parameters
+    ----------
+    description : str
+        What the command writes to that file.
+
+    Returns
+    -------
+    callable
+        Decorator of the command.
+    """
+    return click.option('--json', 'json_path', type=click.Path(path_type=Path), help=description)
 
 
 class FiniteFloatRange(click.FloatRange):

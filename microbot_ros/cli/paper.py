@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from microbot_ros.cli.options import json_option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
                    'numbers.')
 @click.option('--seed', type=click.IntRange(min=0), default=1, show_default=True,
               help='Seed of the first repetition; the others use the following seeds.')
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the summary as JSON to this file.')
+@json_option('Write the summary as JSON to this file.')
 def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> None:
     """Repeat the paper's three-particle experiment in simulation and compare.
 
@@ -36,7 +36,7 @@ def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> N
     from rich.console import Console
     from rich.progress import track
 
-    from microbot_ros.common.files import output_folder, write_text
+    from microbot_ros.common.files import output_folder, write_json, write_text
     from microbot_ros.paper.repetition import attempt, run_times
     from microbot_ros.paper.report import draw_errors, draw_trajectories, page, png
     from microbot_ros.paper.summary import summarise
@@ -46,14 +46,12 @@ def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> N
     with output_folder(out) as folder:
         trials = [attempt(s) for s in track(seeds, 'repeating the experiment', console=progress)]
         summary = summarise(trials, run_times(trials[0]))
-        text = json.dumps(summary, indent=1, ensure_ascii=False) + '\n'
         trajectories, errors = png(draw_trajectories(trials[0])), png(draw_errors(trials))
-        write_text(folder / 'summary.json', text)
+        write_json(folder / 'summary.json', summary)
         write_text(folder / 'report.html', page(summary, trajectories, errors))
         (folder / 'trajectories.png').write_bytes(trajectories)
         (folder / 'errors.png').write_bytes(errors)
-    if json_path:
-        write_text(json_path, text)
+    write_json(json_path, summary)
     _show(Console(highlight=False), summary)
     progress.print(f'report: {out / "report.html"}')
 

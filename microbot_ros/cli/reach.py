@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import cmath
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange
+from microbot_ros.cli.options import FiniteFloatRange, json_option
 from microbot_ros.common import units
 from microbot_ros.common.errors import InputError
 
@@ -40,12 +39,10 @@ _FARTHEST = 1e6
               help='Largest field.')
 @click.option('--figure', type=click.Path(path_type=Path), help='Draw the result to this PNG '
                                                                 'or PDF.')
-@click.option('--json', 'json_file', type=click.Path(path_type=Path), help='Write all numbers '
-                                                                           'as JSON to this '
-                                                                           'file.')
+@json_option('Write all numbers as JSON to this file.')
 def command(model_file: Path | None, particles: tuple[str, ...], places: tuple[str, ...],
             goals: tuple[str, ...], alignment_times_s: str | None, seconds: float,
-            field_mt: float, figure: Path | None, json_file: Path | None) -> None:
+            field_mt: float, figure: Path | None, json_path: Path | None) -> None:
     """Compute what N particles under one field can reach, and the floor of their error.
 
     It also computes what lag, field strength and switching the field off open beyond that floor.
@@ -58,7 +55,7 @@ def command(model_file: Path | None, particles: tuple[str, ...], places: tuple[s
     import numpy as np
 
     from microbot_ros.common.extras import require
-    from microbot_ros.common.files import write_text
+    from microbot_ros.common.files import write_json
     from microbot_ros.control.contract import Workspace
     from microbot_ros.control.planning.shared import as_complex
     from microbot_ros.control.reach import opened, planned_floor, reach
@@ -83,8 +80,7 @@ def command(model_file: Path | None, particles: tuple[str, ...], places: tuple[s
         except (OSError, ValueError) as error:
             problem = f'expected a PNG, PDF or SVG file that can be written ({error})'
             raise InputError(figure, problem) from None
-    if json_file is not None:
-        write_text(json_file, json.dumps(result, indent=1) + '\n')
+    write_json(json_path, result)
     _tell(result)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from microbot_ros.cli.options import force_option
+from microbot_ros.cli.options import force_option, json_option
 
 if TYPE_CHECKING:
     from microbot_ros.response.plateaus import Against, Definition
@@ -28,8 +28,7 @@ _OUTPUTS = ('response.csv', 'response.json', 'response.parquet', 'response.png',
 @click.option('--definition', type=click.Choice(['motion', 'tables']), default='motion',
               show_default=True, help='Definition of speed: motion along a constant command, '
                                       "or the definition of a laboratory's tables.")
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the content of response.json to this file too.')
+@json_option('Write the content of response.json to this file too.')
 @force_option
 def command(sources: tuple[Path, ...], out: Path, against: Against, definition: Definition,
             json_path: Path | None, force: bool) -> None:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
-from microbot_ros.cli.options import force_option
+from microbot_ros.cli.options import force_option, json_option
 
 
 @click.command()
 @click.argument('scenario_yaml', metavar='SCENARIO.yaml', type=click.Path(path_type=Path))
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='SESSION',
               help='Folder for the session; its truth.yaml lists the simulated parameters.')
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the truth and the number of rows as JSON to this file.')
+@json_option('Write the truth and the number of rows as JSON to this file.')
 @force_option
 def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool) -> None:
     """Simulate SCENARIO.yaml: particles, fluid, camera, commands and any hidden effects.
@@ -34,7 +32,12 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool)
     from rich.console import Console
 
     from microbot_ros import __version__
-    from microbot_ros.common.files import output_folder, refuse_to_overwrite, write_text
+    from microbot_ros.common.files import (
+        output_folder,
+        refuse_to_overwrite,
+        write_json,
+        write_text,
+    )
     from microbot_ros.common.units import exact_display
     from microbot_ros.session import write_session
     from microbot_ros.virtual_rig.scenario import read_scenario
@@ -57,9 +60,7 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool)
     with output_folder(out) as folder:
         write_session(folder, session)
         write_text(folder / 'truth.yaml', yaml.safe_dump(truth, sort_keys=False))
-    if json_path:
-        result = truth | {'rows': len(session.tracks.t), 'session': str(out)}
-        write_text(json_path, json.dumps(result, indent=1) + '\n')
+    write_json(json_path, truth | {'rows': len(session.tracks.t), 'session': str(out)})
     for remark in strays(scenario, particles, session):
         console.print(f'! {remark}')
     console.print(f'{out}: {len(session.tracks.t)} positions, {len(session.commands.t)} commands')

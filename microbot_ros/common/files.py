@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import shutil
 import tempfile
@@ -163,6 +165,29 @@ def write_text(path: str | Path, text: str) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def write_json(path: str | Path | None, content: Any) -> None:
+    """Write `content` to `path` as JSON, atomically; numbers that are not finite become null.
+
+    Parameters
+    ----------
+    path : str or Path or None
+        File to write; None writes nothing.
+    content : object
+        Dicts, lists, texts, numbers, booleans and None.
+    """
+    if path is not None:
+        write_text(path, json.dumps(_without_nan(content), indent=1, ensure_ascii=False,
+                                    allow_nan=False) + '\n')
+
+
+def _without_nan(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {key: _without_nan(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_without_nan(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 @contextmanager

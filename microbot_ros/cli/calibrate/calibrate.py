@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import click
 
 from microbot_ros.cli.calibrate.camera import camera
+from microbot_ros.cli.options import json_option
 from microbot_ros.common.checked import Settings
 from microbot_ros.magnetics.settings import CoilSettings
 
@@ -51,8 +51,7 @@ command.add_command(camera)
 @click.option('--config', type=click.Path(path_type=Path),
               help="Coils to start from: a coils.yaml, or the rig's file that names one in "
                    'coil_driver.coils_file. Default: the coils of the default rig.')
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the result as JSON to this file.')
+@json_option('Write the result as JSON to this file.')
 def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) -> None:
     """Fit the coils to gaussmeter readings, or to the tracks of a session.
 
@@ -76,18 +75,16 @@ def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) 
     """
     import yaml
 
-    from microbot_ros.common.files import output_folder, write_text
+    from microbot_ros.common.files import output_folder, write_json, write_text
     settings, origin = _known_coils(config)
     tracks = source.is_dir() or source.suffix == '.mcap'
     found = (_from_tracks if tracks else _from_readings)(source, settings)
     section = found.settings.content('not none')
-    result = json.dumps(found.summary, indent=1, ensure_ascii=False) + '\n'
     with output_folder(out) as folder:
         write_text(folder / 'coils.yaml', yaml.safe_dump({'coils': section}, sort_keys=False))
-        write_text(folder / 'calibration.json', result)
+        write_json(folder / 'calibration.json', found.summary)
         found.draw(folder / 'calibration.png')
-    if json_path:
-        write_text(json_path, result)
+    write_json(json_path, found.summary)
     file = (out / 'coils.yaml').resolve()
     for line in [f'started from {origin}', *found.lines, f'written to {out}; to drive by it, in '
                  f"the rig's file: coil_driver: coils_file: {file}"]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from microbot_ros.cli.options import json_option
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.plausible import plausible_range
 from microbot_ros.common.units import from_si, to_si
@@ -108,8 +109,7 @@ def _rounded(value: float | None) -> float | None:
                    'rollers); otherwise it is taken as zero on average.')
 @click.option('--config', type=click.Path(path_type=Path),
               help="Rig's YAML with which SESSION was recorded (else the default tracker).")
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the result as JSON to this file.')
+@json_option('Write the result as JSON to this file.')
 def camera(
     session: Path | None, out: Path, graticule: Path | None, spacing_um: float | None,
     along_coils: bool, particles: str | None, diameter_um: float | None, phi_deg: float | None,
@@ -134,7 +134,7 @@ def camera(
       microbot calibrate camera rollers/ --phi-deg 0 --out out/camera
     """
     from microbot_ros.cli.calibrate.figures import draw_camera
-    from microbot_ros.common.files import output_folder, write_text
+    from microbot_ros.common.files import output_folder, write_json, write_text
 
     if not (session or graticule or particles):
         raise InputError('calibrate camera', 'expected a SESSION, --graticule or --particles')
@@ -151,14 +151,12 @@ def camera(
     if particles:
         part = _by_size(part, particles, diameter, result)
     result |= part.as_parameters() | {'notes': list(part.lines)}
-    text = json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + '\n'
     with output_folder(out) as folder:
         write_text(folder / 'camera.yaml', part.as_yaml())
-        write_text(folder / 'calibration.json', text)
+        write_json(folder / 'calibration.json', result)
         if turn or lines:
             draw_camera(folder / 'calibration.png', turn, image, lines)
-    if json_path:
-        write_text(json_path, text)
+    write_json(json_path, result)
     for line in [*part.lines, f'written to {out}']:
         click.echo(line)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -16,12 +15,12 @@ import numpy as np
 import yaml
 
 from microbot_ros.cli.demo.robots import KINDS, Robots
-from microbot_ros.cli.options import FiniteFloatRange, cockpit_option
+from microbot_ros.cli.options import FiniteFloatRange, cockpit_option, json_option
 from microbot_ros.cockpit import address
 from microbot_ros.common.ending import Ending, Stopped
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import require
-from microbot_ros.common.files import output_folder, write_text
+from microbot_ros.common.files import output_folder, write_json, write_text
 from microbot_ros.common.real_time import LOOP, realtime_priority
 from microbot_ros.nodes.client.graph import Graph
 
@@ -69,8 +68,7 @@ class _Run:
 @cockpit_option
 @click.option('--out', type=click.Path(path_type=Path), default=Path('out/demo'),
               show_default=True, help='Folder for the results.')
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the summary as JSON to this file.')
+@json_option('Write the summary as JSON to this file.')
 def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
             json_path: Path | None) -> None:
     """Steer a microrobot on the virtual rig, over a real ROS graph and a real serial line.
@@ -96,8 +94,7 @@ def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
         _say(began, f'stopped by {stopped}: no results written')
         sys.exit(stopped.status)
     _print(summary, out)
-    if json_path:
-        write_text(json_path, json.dumps(summary, indent=1) + '\n')
+    write_json(json_path, summary)
     sys.exit(tell_shortcomings(run.faults, summary, began))
 
 
@@ -261,7 +258,7 @@ def _look_back(folder: Path, out: Path, asked: _Run, robots: Robots,
     summary = {**summarise(run, asked.goals, asked.armed_at), 'nodes': list(NODES),
                'controllers': asked.controllers, 'speed_unit': robots.unit,
                'recording': str(out / 'recording')}
-    write_text(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')
+    write_json(folder / 'summary.json', summary)
     draw(run, asked.goals[-1], robots.unit, folder / 'demo.png')
     _say(began, 'drawing the video')
     write_video(run, recording, PIXEL_SIZE_UM * 1e-6, folder / 'demo.mp4')

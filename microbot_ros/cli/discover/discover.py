@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange, namespace_option
+from microbot_ros.cli.options import FiniteFloatRange, json_option, namespace_option
 from microbot_ros.common.compiled import tell_of_compiling
 
 if TYPE_CHECKING:
@@ -43,8 +43,7 @@ if TYPE_CHECKING:
               help='With --drive: time limit.')
 @click.option('--apply', 'apply_', is_flag=True,
               help='With --drive: load the model found into the model node and the controllers.')
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the content of result.json to this file too.')
+@json_option('Write the content of result.json to this file too.')
 @namespace_option
 def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, seconds: float,
             rounds: int, drive: bool, minutes: float, apply_: bool,
@@ -89,11 +88,9 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
 def _discover(recordings: Sequence[Session], out: Path, jobs: int, json_path: Path | None,
               progress: Console) -> Discovery:
     """Search recordings; write result and model into `out`, print and return them."""
-    import json
-
     from rich.console import Console
 
-    from microbot_ros.common.files import output_folder, write_text
+    from microbot_ros.common.files import output_folder, write_json
     from microbot_ros.discovery.discover import discover
     from microbot_ros.model.io.model_file import write_model
 
@@ -101,12 +98,10 @@ def _discover(recordings: Sequence[Session], out: Path, jobs: int, json_path: Pa
     tell_of_compiling(partial(progress.print, soft_wrap=True))
     with progress.status('looking') as status:
         found = discover(recordings, status.update, jobs=jobs)
-    text = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + '\n'
     with output_folder(out) as folder:
-        write_text(folder / 'result.json', text)
+        write_json(folder / 'result.json', found.as_json())
         write_model(folder / 'model.yaml', found.model, found.particles)
-    if json_path:
-        write_text(json_path, text)
+    write_json(json_path, found.as_json())
     console = Console(highlight=False)
     for line in found.sentences():
         console.print(line)

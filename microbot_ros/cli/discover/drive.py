@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,45 +50,35 @@ def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
     from microbot_ros.discovery.driven.drive import drive
     from microbot_ros.nodes.client.driven_rig import DrivenRig
     from microbot_ros.nodes.client.graph_client import GraphClient
+    from microbot_ros.session import write_session
 
-    out = out.resolve()
-    kept = _Kept(out)
+    out, folders = out.resolve(), list[Path]()
+
+    def keep(experiment: Session) -> None:
+        folders.append(out / f'experiment-{len(folders) + 1}')
+        write_session(folders[-1], experiment)
+
     with GraphClient('discover', namespace) as client:
-        with DrivenRig(client, kept) as rig, Ending(rig.tell_to_end, find_launcher()):
+        with DrivenRig(client, keep) as rig, Ending(rig.tell_to_end, find_launcher()):
             driven = drive(rig, minutes, lambda line: progress.print(line, soft_wrap=True),
                            looked=lambda look: _show_odds(look.odds, out, progress))
         found = _write(driven, out, json_path, progress)
         use = use and bool(found.model.effects) and driven.decided == 'settled'
         try:
-            _report(out, driven, found, kept.folders)
+            _report(out, driven, found, folders)
         except ReportError:
             if not use:
                 raise
         if use:
             told = _give(client, out / 'model.yaml', progress)
-            _report(out, driven, found, kept.folders, told)
-
-
-class _Kept:
-    """Writer of every experiment into a numbered folder."""
-
-    def __init__(self, out: Path) -> None:
-        self._out = out
-        self.folders: list[Path] = []
-
-    def __call__(self, session: Session) -> None:
-        from microbot_ros.session import write_session
-
-        folder = self._out / f'experiment-{len(self.folders) + 1}'
-        write_session(folder, session)
-        self.folders.append(folder)
+            _report(out, driven, found, folders, told)
 
 
 def _show_odds(odds: Mapping[str, float], out: Path, progress: Console) -> None:
     """Write probabilities by effect ('' for none) into `out`; print four on a terminal."""
-    from microbot_ros.common.files import write_text
+    from microbot_ros.common.files import write_json
 
-    write_text(out / 'progress.json', json.dumps({'odds': odds}, allow_nan=False) + '\n')
+    write_json(out / 'progress.json', {'odds': odds})
     if progress.is_terminal and odds:
         ranked = sorted(odds.items(), key=lambda one: -one[1])[:4]
         progress.print('likeliest: ' + ', '.join(
@@ -101,21 +90,19 @@ def _write(driven: Driven, out: Path, json_path: Path | None, progress: Console)
     from rich.console import Console
 
     from microbot_ros.common.errors import RigError
-    from microbot_ros.common.files import output_folder, write_text
+    from microbot_ros.common.files import output_folder, write_json
     from microbot_ros.discovery.driven.conclusion import as_json, discovered
     from microbot_ros.model.io.model_file import write_model
 
     with progress.status('analysing all experiments') as status:
         result = discovered(driven, status.update)
     found = {} if result is None else result[0].as_json()
-    text = json.dumps(found | as_json(driven), indent=1, ensure_ascii=False,
-                      allow_nan=False) + '\n'
+    content = found | as_json(driven)
     with output_folder(out) as folder:
-        write_text(folder / 'result.json', text)
+        write_json(folder / 'result.json', content)
         if result is not None:
             write_model(folder / 'model.yaml', result[0].model, result[0].particles)
-    if json_path:
-        write_text(json_path, text)
+    write_json(json_path, content)
     if result is None:
         raise RigError(driven.reason or 'too little data to learn anything')
     console = Console(highlight=False)

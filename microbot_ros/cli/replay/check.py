@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
 from collections.abc import Collection
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.files import write_text
+from microbot_ros.common.files import write_json
 from microbot_ros.session.mcap.recording import is_recording, open_recording
 from microbot_ros.session.replay.compare import Doubt, TopicDifference, compare
 from microbot_ros.session.replay.log import header_stamp_ns
@@ -71,9 +70,8 @@ def run_check(session: Path, nodes: Collection[str], end: float, tolerance: floa
                           f'{doubt.reason}')
     same, verdict = _verdict([topic for topic, _ in found])
     console.print(f'{session}: {verdict}')
-    if json_path:
-        entries = {'same': same, 'topics': [_entry(topic, doubt) for topic, doubt in found]}
-        write_text(json_path, json.dumps(entries, indent=1, allow_nan=False) + '\n')
+    write_json(json_path, {
+        'same': same, 'topics': [_entry(topic, doubt) for topic, doubt in found]})
     return 0 if same else 1
 
 

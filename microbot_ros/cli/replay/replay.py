@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange
+from microbot_ros.cli.options import FiniteFloatRange, json_option
 from microbot_ros.common.errors import InputError
 
 
@@ -43,8 +43,7 @@ from microbot_ros.common.errors import InputError
                    'recording is not executed.')
 @click.option('--out', type=click.Path(path_type=Path),
               help="With --check: write the nodes' outputs as a recording.")
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='With --check: write the differences as JSON to this file.')
+@json_option('With --check: write the differences as JSON to this file.')
 def command(
     session: Path, rate: float, start: float, end: float, loop: bool, topics: tuple[str, ...],
     into_live_rig: bool, film: Path | None, check: bool, nodes: tuple[str, ...], tolerance: float,

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
+from microbot_ros.cli.options import json_option
 from microbot_ros.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,8 +54,7 @@ class Finding(NamedTuple):
 @click.command()
 @click.option('--config', type=click.Path(path_type=Path),
               help='Check this rig too: its parameters, coils, port and camera.')
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the findings as JSON to this file.')
+@json_option('Write the findings as JSON to this file.')
 def command(config: Path | None, json_path: Path | None) -> None:
     """Check whether this machine, and with --config the rig, is ready. No current flows.
 
@@ -62,9 +62,7 @@ def command(config: Path | None, json_path: Path | None) -> None:
     Example:
       microbot doctor --config config/rig.yaml
     """
-    import json
-
-    from microbot_ros.common.files import write_text
+    from microbot_ros.common.files import write_json
 
     if config:
         _readable(config)
@@ -74,9 +72,7 @@ def command(config: Path | None, json_path: Path | None) -> None:
     for finding in _look(config):
         findings.append(finding)
         click.echo(f'{marks[finding.level]} {finding.what}: {finding.detail}')
-    if json_path:
-        entries = [finding._asdict() for finding in findings]
-        write_text(json_path, json.dumps(entries, indent=1, ensure_ascii=False) + '\n')
+    write_json(json_path, [finding._asdict() for finding in findings])
     if any(finding.level == 'fail' for finding in findings):
         sys.exit(1)
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from microbot_ros.cli.track.view import View
 from microbot_ros.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -232,7 +231,8 @@ def look(
         If a point shows nothing to learn.
     """
     from microbot_ros.cameras.interlaced import interlaced, one_field
-    from microbot_ros.cameras.source import decoded, open_source
+    from microbot_ros.cameras.source import decoded, grey, open_source
+    from microbot_ros.tracking.locate.colour import weighted
     from microbot_ros.tracking.teach.unprompted import without_prompt
 
     film = open_source(source, report, frame_rate_hz, decoded)
@@ -242,8 +242,15 @@ def look(
     if like and colour is None and not settings.kinds:
         colour, said = _telling_colour(like, unlike, named)
         settings = settings.replaced(colour=colour)
-    view = View(colour, interlaced(samples))
-    if view.interlaced:
+    half = interlaced(samples)
+
+    def view(picture: np.ndarray) -> np.ndarray | None:
+        if decoded(picture) is None:
+            return None
+        picture = one_field(picture) if half else picture
+        return grey(picture) if colour is None else weighted(picture, colour)
+
+    if half:
         report(f'{source}: its images are interlaced (every other row shows another moment); only '
                'the even rows are used')
         samples = [one_field(sample) for sample in samples]

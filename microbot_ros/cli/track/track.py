@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from microbot_ros.cli.options import plausible_number
+from microbot_ros.cli.options import json_option, plausible_number
 from microbot_ros.cli.track.learn import Point, PointType, look, write_learned
 from microbot_ros.common.units import to_si
 
@@ -47,8 +46,7 @@ missed now and then; one that leaves for longer is not counted."""
 @click.option('--unlike', multiple=True, type=PointType(named=False),
               help='Point at something that is not to be followed.')
 @click.option('--overlay/--no-overlay', default=True, help='Write overlay.mp4.')
-@click.option('--json', 'json_path', type=click.Path(path_type=Path),
-              help='Write the result as JSON to this file.')
+@json_option('Write the result as JSON to this file.')
 def command(
     source: str, out: Path, pixel_size_um: float | None, frame_rate_hz: float | None,
     settings_path: Path | None, commands_path: Path | None, like: tuple[Point, ...],
@@ -72,7 +70,7 @@ def command(
     """
     from rich.console import Console
 
-    from microbot_ros.common.files import output_folder, read_yaml, write_text
+    from microbot_ros.common.files import output_folder, read_yaml, write_json
     from microbot_ros.tracking import TrackerSettings
 
     settings = read_yaml(settings_path, TrackerSettings) if settings_path else TrackerSettings()
@@ -99,8 +97,7 @@ def command(
     for problem in dict.fromkeys(problems):
         console.print(f'microbot track: {problem}', markup=False)
     result['warnings'] = list(dict.fromkeys(problems))
-    if json_path:
-        write_text(json_path, json.dumps(result, indent=1, ensure_ascii=False) + '\n')
+    write_json(json_path, result)
     console.print(
         f'{out}: {result["frames"]} frames, {result["tracks"]} particles, '
         f'{result["whole_clip"]} of them from start to end')
