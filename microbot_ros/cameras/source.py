@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -43,28 +43,6 @@ class Frame:
 
 See = Callable[[Any], np.ndarray | None]
 """Function from a decoded picture to the array that a frame holds; None to skip the picture."""
-
-
-class Source(Protocol):
-    """Frames in order; `frame_rate` [Hz] and `length` are None if unknown."""
-
-    name: str
-    size: tuple[int, int]
-    frame_rate: float | None
-    length: int | None
-
-    def frames(self) -> Iterator[Frame]:
-        """Yield every frame that can be decoded; others are reported and skipped.
-
-        So are frames of another size than the first, which is `size` (height, width). Raises
-        InputError if there is no frame at all.
-
-        Yields
-        ------
-        Frame
-            The frame.
-        """
-        ...
 
 
 def open_source(
@@ -200,7 +178,10 @@ class VideoSource:
         self._first: np.ndarray | None = first
 
     def frames(self) -> Iterator[Frame]:
-        """Yield the frames as `Source.frames`; a second call starts again.
+        """Yield every frame that can be decoded; others are reported and skipped.
+
+        So are frames of another size than the first, which is `size` (height, width). A second
+        call starts again.
 
         Yields
         ------
@@ -285,7 +266,10 @@ class ImageSource:
         self.size = first.shape[:2]
 
     def frames(self) -> Iterator[Frame]:
-        """Yield the frames as `Source.frames`; a second call starts again.
+        """Yield every frame that can be decoded; others are reported and skipped.
+
+        So are frames of another size than the first, which is `size` (height, width). A second
+        call starts again.
 
         Yields
         ------
@@ -303,6 +287,10 @@ class ImageSource:
                 )
             else:
                 yield Frame(index, index / (self.frame_rate or 1.0), image)
+
+
+Source = VideoSource | ImageSource
+"""Frames in order; `frame_rate` [Hz] and `length` are None if unknown."""
 
 
 def read_picture(path: Path) -> np.ndarray:

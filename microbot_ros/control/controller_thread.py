@@ -89,7 +89,7 @@ class ControllerThread:
             self._prepared = parameters, fresh, self._aside.post(
                 lambda: fresh.configure(parameters))
         _, fresh, call = self._prepared
-        if not self._aside.finished(call, seconds):
+        if not call.returned.wait(seconds):
             if time.monotonic() - call.begun <= CONFIGURING:
                 raise ConfiguringError(f'is still being configured in the background: {AGAIN}')
             self._drop_prepared()

@@ -134,23 +134,6 @@ class DeadlineWorker:
         self._calls.put(call)
         return call
 
-    def finished(self, call: Call[T], seconds: float) -> bool:
-        """Return whether a posted `call` returns within `seconds`.
-
-        Parameters
-        ----------
-        call : Call[T]
-            The call.
-        seconds : float
-            Longest time to wait [s].
-
-        Returns
-        -------
-        bool
-            Whether it returns in time.
-        """
-        return call.returned.wait(seconds)
-
     def leave_behind(self) -> None:
         """Abandon the thread: it ends at once if idle, otherwise when its call allows it."""
         busy = self._newest is not None and not self._newest.returned.is_set()

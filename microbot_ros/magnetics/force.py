@@ -49,21 +49,6 @@ class MagneticParticle:
         """Stokes drag coefficient 6πηr [N s/m]."""
         return 6 * math.pi * self.viscosity * self.radius
 
-    def alignment_time(self, field: float) -> float:
-        """Return the time constant [s] of aligning with a `field` [T]: 8πηr³/(moment × field).
-
-        Parameters
-        ----------
-        field : float
-            Magnitude of the field [T].
-
-        Returns
-        -------
-        float
-            Time constant [s].
-        """
-        return 8 * math.pi * self.viscosity * self.radius**3 / (self.moment * field)
-
 
 def force(moment: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """Return (m·∇)B [N] for `moment` (..., 3) [A m²] and `gradient` (..., 3, 3) [T/m].

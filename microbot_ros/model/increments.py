@@ -136,26 +136,6 @@ def _directly(model: Model, timeline: Timeline, start: complex) -> Response:
     return Response(model, path[:, None], np.zeros((len(path), 1, 2)), heading[:, None])
 
 
-def increments(model: Model, particles: ParticleParameters, timeline: Timeline) -> np.ndarray:
-    """Return ∫ velocity dt over each frame interval, as the camera would report it.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    particles : ParticleParameters
-        N particles.
-    timeline : Timeline
-        Commands and T frames.
-
-    Returns
-    -------
-    ndarray, shape (T − 1, N, 2)
-        Displacements [m].
-    """
-    return respond(model, timeline).increments(particles)
-
-
 def beyond_learned(model: Model, timeline: Timeline) -> dict[str, np.ndarray]:
     """Return which particles are where a learned term has no data, and has faded to zero.
 

@@ -19,7 +19,9 @@ from pathlib import Path
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Session
-from microbot_ros.session.tables.folder import read_folder, write_folder
+from microbot_ros.session.tables.folder import read_folder, write_session
+
+__all__ = ['read_session', 'write_session']
 
 
 def read_session(path: str | Path) -> Session:
@@ -50,16 +52,3 @@ def read_session(path: str | Path) -> Session:
         raise InputError(path, 'expected tracks.csv or a recording, found both')
     with open_recording(path) as recording:
         return session_of(recording)
-
-
-def write_session(path: str | Path, session: Session) -> None:
-    """Write `session` to `path` as `tracks.csv`, `commands.csv`, `session.yaml`, all or none.
-
-    Parameters
-    ----------
-    path : str or Path
-        Folder to write.
-    session : Session
-        The session.
-    """
-    write_folder(Path(path), session)

@@ -266,9 +266,11 @@ class _Follower:
         self.linker.update(self.detector.detect(image, self.linker.expected()))
 
 
-def make_detector(
-    appearance: Appearance, settings: TrackerSettings
-) -> RoundDetector | OutlineDetector | KindsDetector:
+Detector = RoundDetector | OutlineDetector | KindsDetector
+"""Finds particles in a picture: one look, one outline, or kinds of bodies."""
+
+
+def make_detector(appearance: Appearance, settings: TrackerSettings) -> Detector:
     """Return the detector for the `appearance`, or for the kinds in the `settings`.
 
     Parameters

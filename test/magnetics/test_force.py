@@ -52,7 +52,6 @@ def test_numbers_of_the_papers_particle():
     particle = MagneticParticle()
     assert particle.drag == pytest.approx(1.0795e-7, rel=1e-4)
     assert particle.moment == pytest.approx(4.077e-13, rel=1e-3)
-    assert particle.alignment_time(1e-3) == pytest.approx(7.47e-3, rel=1e-3)
 
 
 def test_force_is_negligible_on_this_rig_up_to_where_it_is_not():

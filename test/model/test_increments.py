@@ -12,7 +12,7 @@ from microbot_ros.model.effects.velocity.hot_spot import HotSpot
 from microbot_ros.model.effects.velocity.linear_flow import LinearFlow
 from microbot_ros.model.effects.velocity.speed_decay import SpeedDecay
 from microbot_ros.model.first_order import simulate
-from microbot_ros.model.increments import heading_response, increments, respond
+from microbot_ros.model.increments import heading_response, respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
 
@@ -57,7 +57,7 @@ def test_increments_are_those_of_the_simulation(model):
     # Where velocity depends on place it is taken where the interval begins.
     tolerance = 2e-3 * 1e-6 if model.needs_position else 1e-18
     np.testing.assert_allclose(
-        increments(model, PARTICLES, timeline), np.diff(seen, axis=0), atol=tolerance)
+        respond(model, timeline).increments(PARTICLES), np.diff(seen, axis=0), atol=tolerance)
 
 
 @every_model
@@ -83,8 +83,8 @@ def test_a_prepared_timeline_answers_as_a_fresh_one(model):
 
 def test_a_block_from_the_middle_remembers_the_commands_before_it():
     model = MODELS['lag']
-    whole = increments(model, PARTICLES, Timeline(COMMANDS, TIMES))
-    block = increments(model, PARTICLES, Timeline(COMMANDS, TIMES[60:]))
+    whole = respond(model, Timeline(COMMANDS, TIMES)).increments(PARTICLES)
+    block = respond(model, Timeline(COMMANDS, TIMES[60:])).increments(PARTICLES)
     np.testing.assert_allclose(block, whole[60:], rtol=1e-9, atol=1e-18)
 
 
@@ -119,4 +119,4 @@ def test_a_heading_is_unknown_before_the_first_command():
         felt = heading_response(model, PARTICLES, timeline)
         assert np.isnan(felt.theta[:2]).all()
         np.testing.assert_allclose(felt.theta[2:], [PARTICLES.phi] * 2)
-        np.testing.assert_array_equal(increments(model, PARTICLES, timeline)[:2], 0.0)
+        np.testing.assert_array_equal(respond(model, timeline).increments(PARTICLES)[:2], 0.0)

@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Commands
 from microbot_ros.model.effect_context import EffectContext, Places
-from microbot_ros.model.increments import increments
+from microbot_ros.model.increments import respond
 from microbot_ros.model.io.model_file import read_model, write_model
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters
@@ -126,7 +126,7 @@ def test_the_knots_weigh_what_the_values_do():
 def test_in_the_model_it_moves_what_it_says():
     commands = Commands(np.array([0.0]), np.array([[5e-3, 0.0]]))
     times = np.linspace(0, 10, 301)
-    moved = increments(Model(5e-3, learned=(OF_TIME,)), NOBODY, Timeline(commands, times))
+    moved = respond(Model(5e-3, learned=(OF_TIME,)), Timeline(commands, times)).increments(NOBODY)
     total = [trapezoid(np.interp(np.linspace(0, 10, 4001), LINE, v), dx=10 / 4000)
              for v in OF_TIME.values.T]
     np.testing.assert_allclose(moved.sum(axis=0)[0], total, rtol=1e-3, atol=1e-9)
@@ -142,8 +142,8 @@ def test_the_time_since_a_switch_counts_changes_not_repeats():
     times = np.linspace(0, 4, 121)
     once = Commands(np.array([0.0, 2.0]), 5e-3 * np.array([[1.0, 0], [0, 1]]))
     again = Commands(np.array([0.0, 1.0, 2.0, 3.0]), 5e-3 * field)
-    np.testing.assert_allclose(increments(model, own, Timeline(once, times)),
-                               increments(model, own, Timeline(again, times)), atol=1e-12)
+    np.testing.assert_allclose(respond(model, Timeline(once, times)).increments(own),
+                               respond(model, Timeline(again, times)).increments(own), atol=1e-12)
 
 
 @pytest.mark.parametrize('name', TERMS)

@@ -107,7 +107,7 @@ def test_parameters_are_set_again_while_they_are_taken_aside() -> None:
         return SimpleNamespace(results=[SimpleNamespace(successful=not reason, reason=reason)])
     name = 'controller/set_parameters'
     service = Service(answer(f'is being configured: {AGAIN}'), answer(''))
-    performed(client(name, service).switch('waypoint'))
+    performed(client(name, service).set('controller', controller='waypoint'))
     assert len(service.asked) == 2
     with pytest.raises(InputError, match='controller: no'):
-        performed(client(name, Service(answer('no'))).switch('steam'))
+        performed(client(name, Service(answer('no'))).set('controller', controller='steam'))

@@ -7,7 +7,6 @@ import select
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.drive.emulator.device import Device
@@ -21,34 +20,6 @@ _IDLE_S = 0.05
 """Longest wait [s] without an event. Choice: the end of the process is noticed within it."""
 
 
-class DeviceEnd(Protocol):
-    """Device end of a serial line of any kind."""
-
-    def plug(self) -> None:
-        """Create the line; does nothing if it exists."""
-
-    def unplug(self) -> None:
-        """Hang up; does nothing if hung up."""
-
-    def read(self) -> bytes:
-        """Return the waiting bytes.
-
-        Returns
-        -------
-        bytes
-            B'' if there are none.
-        """
-
-    def write(self, data: bytes) -> None:
-        """Send bytes; bytes that no host accepts are lost.
-
-        Parameters
-        ----------
-        data : bytes
-            Bytes to send.
-        """
-
-
 class Emulation:
     """Transfer of bytes between hosts and a device with faults, step by step.
 
@@ -56,7 +27,7 @@ class Emulation:
     ----------
     device : Device
         The device.
-    lines : sequence of DeviceEnd
+    lines : sequence of Line
         Its lines.
     faults : Faults
         Its faults.
@@ -64,7 +35,7 @@ class Emulation:
         Function that returns the time [s] of the faults and of the device's coils.
     """
 
-    def __init__(self, device: Device, lines: Sequence[DeviceEnd], faults: Faults,
+    def __init__(self, device: Device, lines: Sequence[Line], faults: Faults,
                  clock: Callable[[], float] = time.monotonic) -> None:
         self.device = device
         self.faults = faults

@@ -5,9 +5,8 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Callable
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any
 
-from rclpy.clock import Clock
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
@@ -16,22 +15,12 @@ from microbot_ros.control.recorded_worker import IN_TIME, NotingWorker
 from microbot_ros.nodes.base.messages import to_nanoseconds
 from microbot_ros.session.replay.log import PARAMETERS
 
+if TYPE_CHECKING:
+    from microbot_ros.nodes.base.lifecycle import RigNode
+
 _MOST = 200
 """Entries after which a line is written without a frame, so that no line grows without bound while
 no frame arrives. Choice: at half or twice that, lines are shorter or longer; nothing is lost."""
-
-
-class _Node(Protocol):
-    """Attributes of a node that the log uses."""
-
-    frame: ClassVar[str]
-    now_ns: int
-
-    def get_name(self) -> str: ...
-
-    def get_clock(self) -> Clock: ...
-
-    def publisher(self, kind: type, topic: str) -> Publisher: ...
 
 
 class Log:
@@ -43,11 +32,11 @@ class Log:
 
     Parameters
     ----------
-    node : _Node
+    node : RigNode
         The node.
     """
 
-    def __init__(self, node: _Node) -> None:
+    def __init__(self, node: RigNode) -> None:
         self._node = node
         self._publisher: Publisher | None = None
         self._turn = 0

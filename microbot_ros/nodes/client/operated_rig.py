@@ -253,7 +253,7 @@ class OperatedRig(RigView):
         Answer
             Answer for the page.
         """
-        await self._perform(self._client.switch(name))
+        await self._perform(self._client.set('controller', controller=name))
         return f'{name.replace("_", " ")} drives'
 
     async def set(self, name: str, value: Any) -> Answer:

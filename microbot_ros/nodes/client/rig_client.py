@@ -248,26 +248,6 @@ class RigClient:
             raise RefusedError('tracker', self.taught.message)
         return str(self.taught.message)
 
-    def switch(self, controller: str) -> Steps[None]:
-        """Switch to a controller.
-
-        Parameters
-        ----------
-        controller : str
-            Name of the controller.
-
-        Returns
-        -------
-        Steps[None]
-            The request.
-
-        Raises
-        ------
-        InputError
-            If it is refused, with the reason.
-        """
-        return self.set('controller', controller=controller)
-
     def set(self, node: str, **values: Any) -> Steps[None]:
         """Set parameters of a node, again while it is still busy with them.
 

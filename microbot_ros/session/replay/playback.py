@@ -6,12 +6,11 @@ import math
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.session.mcap.recording import (
     Message,
-    Topic,
+    Recording,
     is_recording,
     is_topic,
     open_recording,
@@ -21,34 +20,8 @@ from microbot_ros.session.tables.folder import read_folder
 
 SLOWEST, FASTEST = 0.1, 100.0  # choices: limits of the rate, times real time
 
-
-class Source(Protocol):
-    """Playable source: a `Recording` or `SessionMessages`."""
-
-    topics: dict[str, Topic]
-    start_ns: int
-    end_ns: int
-
-    def messages(
-        self, topics: Collection[str] | None = None, start_ns: int | None = None,
-        end_ns: int | None = None,
-    ) -> Iterator[Message]:
-        """Yield messages of `topics` (None: all) from `start_ns` up to `end_ns` [ns] by time.
-
-        Parameters
-        ----------
-        topics : collection of str or None
-            Names of topics; None for all.
-        start_ns : int or None
-            Beginning [ns]; None for that of the recording.
-        end_ns : int or None
-            End [ns], excluded; None for that of the recording.
-
-        Yields
-        ------
-        Message
-            The message.
-        """
+Source = Recording | SessionMessages
+"""What can be played."""
 
 
 @contextmanager

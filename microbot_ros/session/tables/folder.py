@@ -157,20 +157,20 @@ def read_folder(path: Path) -> Session:
                    assumed=settings.assumed, speed_window=settings.speed_window)
 
 
-def write_folder(path: Path, session: Session) -> None:
-    """Write a `session` to the folder `path`, all of it or nothing.
+def write_session(path: str | Path, session: Session) -> None:
+    """Write `session` to `path` as `tracks.csv`, `commands.csv`, `session.yaml`, all or none.
 
-    `read_folder` restores the numbers bit for bit, except for the components of a rolling field,
+    `read_session` restores the numbers bit for bit, except for the components of a rolling field,
     which pass through its direction.
 
     Parameters
     ----------
-    path : Path
-        File or folder.
+    path : str or Path
+        Folder to write.
     session : Session
         The session.
     """
-    tracks, commands = session.tracks, session.commands
+    path, tracks, commands = Path(path), session.tracks, session.commands
     measured = {'t_s': tracks.t, 'x_um': tracks.position[:, 0], 'y_um': tracks.position[:, 1]}
     if not len(tracks.t) or not all(np.isfinite(column).all() for column in measured.values()):
         raise ValueError('a session needs tracks, and every row of them a time and a position')

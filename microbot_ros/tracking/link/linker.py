@@ -194,11 +194,7 @@ class Linker:
             # The appearance of a clump is not that of its parts after they separate.
             alone = ~np.isin(states.id[track], states.host[states.host >= 0])
         before = states.measured[track]
-        self._motion.learn(*_take_over(
-            track, detection, found.xy, found.sigma, found.theta, found.contrast, found.radius,
-            alone, self._expected_step, _TOUCHED * self._diameter, states.measured, states.step,
-            states.sigma, states.theta, states.contrast, states.radius, states.hits,
-            states.missed, states.early))
+        self._motion.learn(*self._take_over(track, found[detection], alone))
         if self._axes:
             orient(states, track, states.measured[track] - before)
         # In a shared outline a particle need not be in the middle.
@@ -219,6 +215,34 @@ class Linker:
             fresh = np.ones(len(found), bool)
             fresh[detection] = False
             self.states = self.states.join(self._initiate_tracks(found[fresh]))
+
+    def _take_over(self, track: np.ndarray, seen: Detections, alone: np.ndarray,
+                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Write appearance and measurements of `seen` particles into the states of each `track`.
+
+        Returns, of those followed in this frame and the last, displacements (M, 2) in this and the
+        last, and σ (M,). Published positions are measurements. Of shared outlines, not `alone`
+        (N,), the appearance is not taken.
+        """
+        states = self.states
+        states.missed += 1
+        followed = states.missed[track] == 1
+        step = seen.xy - states.measured[track] - self._expected_step[track]
+        known = followed & np.isfinite(states.step[track, 0])
+        known &= seen.sigma < _TOUCHED * self._diameter
+        learned = step[known], states.step[track[known]], seen.sigma[known]
+        states.step[:], states.theta[:] = np.nan, np.nan
+        states.step[track[followed]] = step[followed]
+        states.measured[track], states.sigma[track] = seen.xy, seen.sigma
+        states.theta[track] = seen.theta
+        own = track[alone]
+        states.contrast[own] *= (seen.contrast[alone] / states.contrast[own]) ** 0.2
+        states.radius[own] *= (seen.radius[alone] / states.radius[own]) ** 0.2
+        states.missed[track] = 0
+        states.hits[track] += 1
+        early = track[states.hits[track] <= states.early.shape[1]]
+        states.early[early, states.hits[early] - 1] = states.measured[early]
+        return learned
 
     def _jumped(self, found: Detections) -> np.ndarray:
         """Return the offset (2,) [px] of the predictions, if the whole picture moved.
@@ -422,42 +446,6 @@ def _overlapping(xy, sigma, named, diameter):  # type: ignore[no-untyped-def]
         wide[n] = math.hypot(sigma[n], hidden)
         noise[n] = wide[n]**2 + touched**2 + LEAST_SIGMA**2
     return wide, noise
-
-
-@numba.njit(cache=True)
-def _take_over(  # type: ignore[no-untyped-def]
-        track, detection, xy, found_sigma, found_theta, found_contrast, found_radius, alone,
-        expected_step, certain, measured, step, sigma, theta, contrast, radius, hits, missed,
-        early):
-    """Write appearance and measurements into the states; published positions are measurements.
-
-    Returns the displacements (M, 2) of particles followed in this frame and the last, and σ (M,).
-    """
-    steps, previous = np.empty((len(track), 2)), np.empty((len(track), 2))
-    spread, count = np.empty(len(track)), 0
-    missed += 1
-    for j, i in enumerate(track):
-        k = detection[j]
-        x = xy[k, 0] - measured[i, 0] - expected_step[i, 0]
-        y = xy[k, 1] - measured[i, 1] - expected_step[i, 1]
-        followed = missed[i] == 1
-        if followed and math.isfinite(step[i, 0]) and found_sigma[k] < certain:
-            steps[count, 0], steps[count, 1], spread[count] = x, y, found_sigma[k]
-            previous[count] = step[i]
-            count += 1
-        step[i, 0], step[i, 1] = (x, y) if followed else (np.nan, np.nan)
-        measured[i], sigma[i], theta[i] = xy[k], found_sigma[k], found_theta[k]
-        if alone[j]:
-            contrast[i] *= (found_contrast[k] / contrast[i]) ** 0.2
-            radius[i] *= (found_radius[k] / radius[i]) ** 0.2
-        missed[i] = 0
-        hits[i] += 1
-        if hits[i] <= early.shape[1]:
-            early[i, hits[i] - 1] = measured[i]
-    for i in range(len(missed)):
-        if missed[i] > 0:
-            step[i], theta[i] = np.nan, np.nan
-    return steps[:count], previous[:count], spread[:count]
 
 
 @numba.njit(cache=True)

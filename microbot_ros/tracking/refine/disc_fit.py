@@ -31,10 +31,8 @@ _ASTRAY, _ASTRAY_CUT = 0.3, 1.0
 """Choices: radii by which a fit may leave the centroid, and that of a body cut by the edge."""
 
 
-def refine(
-    image: np.ndarray, xy: np.ndarray, radius: np.ndarray, edge: np.ndarray, height: np.ndarray,
-    length: np.ndarray, cut: np.ndarray, noise: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@numba.njit(cache=True, nogil=True)
+def refine(image, xy, radius, edge, height, length, cut, noise):  # type: ignore[no-untyped-def]
     """Fit discs to bodies and return positions (N, 2) [px], σ (N,) and whether each fits (N,).
 
     If no disc fits, the position is `xy` and σ NaN.
@@ -62,11 +60,6 @@ def refine(
     tuple[ndarray, ndarray, ndarray]
         Positions (N, 2) [px], σ (N,) [px] and whether each fits (N,).
     """
-    return _refine(image, xy, radius, edge, height, length, cut, noise)
-
-
-@numba.njit(cache=True, nogil=True)
-def _refine(image, xy, radius, edge, height, length, cut, noise):  # type: ignore[no-untyped-def]
     places, sigma = xy.copy(), np.full(len(xy), np.nan)
     fitted = np.zeros(len(xy), np.bool_)
     row = np.empty(6)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Protocol
 
 import numpy as np
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.tracking.locate.bodies import Bodies, find_bodies
-from microbot_ros.tracking.locate.detect import Detections
 from microbot_ros.tracking.locate.kinds import Kind
 from microbot_ros.tracking.locate.kinds_detector import KindsDetector
 from microbot_ros.tracking.locate.search import pixel_noise
@@ -17,7 +15,7 @@ from microbot_ros.tracking.locate.standing import Place, creeping, standing
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.teach.learn import learn
 from microbot_ros.tracking.teach.teacher import like
-from microbot_ros.tracking.tracker import make_detector
+from microbot_ros.tracking.tracker import Detector, make_detector
 
 _SAMPLES = 12
 """Choice: frames from all over a film by which motion is detected."""
@@ -63,27 +61,6 @@ Finder = Callable[[np.ndarray], np.ndarray]
 """Function from a picture (H, W) to positions (N, 2) [px] of its particles."""
 
 _NOWHERE = np.empty((0, 2))  # no positions
-
-
-class Detector(Protocol):
-    """Finds particles in a picture; see `RoundDetector`."""
-
-    def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
-        """Return all particles of `image` (H, W); known ones are `expected` at (M, 2) [px].
-
-        Parameters
-        ----------
-        image : ndarray, shape (H, W)
-            The picture.
-        expected : ndarray, shape (M, 2)
-            Predicted positions [px].
-
-        Returns
-        -------
-        Detections
-            The detections.
-        """
-        ...
 
 
 def evenly(images: Iterable[np.ndarray], length: int | None) -> list[np.ndarray]:

@@ -92,68 +92,22 @@ def set_timeout(address: int, seconds: float) -> bytes:
     return packet(address, SET_TIMEOUT, bytes((round(seconds / TIMEOUT_STEP_S),)))
 
 
-def ask_timeout(address: int) -> bytes:
-    """Return the question for the timeout. Questions carry no CRC; their answers do.
+def ask(address: int, command: int) -> bytes:
+    """Return a question. Questions carry no CRC; their answers do.
 
     Parameters
     ----------
     address : int
         Address of the controller.
+    command : int
+        Command that asks: `GET_TIMEOUT`, `GET_VERSION`, `GET_CURRENTS` or `GET_TEMPERATURE`.
 
     Returns
     -------
     bytes
         Bytes of the question.
     """
-    return bytes((address, GET_TIMEOUT))
-
-
-def ask_version(address: int) -> bytes:
-    """Return the question for the name and version of the firmware.
-
-    Parameters
-    ----------
-    address : int
-        Address of the controller.
-
-    Returns
-    -------
-    bytes
-        Bytes of the question.
-    """
-    return bytes((address, GET_VERSION))
-
-
-def ask_currents(address: int) -> bytes:
-    """Return the question for the currents of both motors.
-
-    Parameters
-    ----------
-    address : int
-        Address of the controller.
-
-    Returns
-    -------
-    bytes
-        Bytes of the question.
-    """
-    return bytes((address, GET_CURRENTS))
-
-
-def ask_temperature(address: int) -> bytes:
-    """Return the question for the temperature of the board.
-
-    Parameters
-    ----------
-    address : int
-        Address of the controller.
-
-    Returns
-    -------
-    bytes
-        Bytes of the question.
-    """
-    return bytes((address, GET_TEMPERATURE))
+    return bytes((address, command))
 
 
 def answer(question: bytes, data: bytes) -> bytes:

@@ -41,7 +41,8 @@ class RoboclawAmplifier(PolledAmplifier):
     """Step of the reported currents [A], `codec.CURRENT_STEP_A`."""
 
     def _identify(self, device: int) -> Talk[None]:
-        name = yield self._query(codec.ask_version(ADDRESSES[device]), codec.version, 'a version')
+        question = codec.ask(ADDRESSES[device], codec.GET_VERSION)
+        name = yield self._query(question, codec.version, 'a version')
         if _MODEL not in name.lower():
             raise WrongDeviceError(self.url, 'a RoboClaw', name)
 
@@ -49,7 +50,8 @@ class RoboclawAmplifier(PolledAmplifier):
         address = ADDRESSES[device]
         yield self._obeyed(codec.drive(address, 0.0, 0.0))
         yield self._obeyed(codec.set_timeout(address, _WATCHDOG_S))
-        armed = yield self._query(codec.ask_timeout(address), codec.timeout, 'its timeout')
+        question = codec.ask(address, codec.GET_TIMEOUT)
+        armed = yield self._query(question, codec.timeout, 'its timeout')
         if not abs(armed - _WATCHDOG_S) < 1e-6:
             raise WrongDeviceError(self.url, f'a timeout of {_WATCHDOG_S:g} s', f'{armed:g} s')
 
@@ -57,14 +59,14 @@ class RoboclawAmplifier(PolledAmplifier):
         yield self._obeyed(codec.drive(ADDRESSES[device], *self._duties(device, currents_A)))
 
     def _measure(self, device: int) -> Talk[Sequence[float]]:
-        measured: Sequence[float] = yield self._query(
-            codec.ask_currents(ADDRESSES[device]), codec.currents, 'currents')
+        question = codec.ask(ADDRESSES[device], codec.GET_CURRENTS)
+        measured: Sequence[float] = yield self._query(question, codec.currents, 'currents')
         return measured
 
     def _inspect(self, device: int) -> Talk[str]:
         address = ADDRESSES[device]
-        found = yield self._query(codec.ask_temperature(address), codec.temperature,
-                                  'a temperature')
+        question = codec.ask(address, codec.GET_TEMPERATURE)
+        found = yield self._query(question, codec.temperature, 'a temperature')
         if not found <= _HOTTEST_C:
             return (f'controller {address:#x} is too hot: {found:.1f} °C, '
                     f'at most {_HOTTEST_C:g}')
