@@ -66,6 +66,7 @@ def main() -> int:
         os.environ['MICROBOT_BENCH_CASES'] = str(chosen.cases)
     if not (chosen.full or chosen.only):
         os.environ['MICROBOT_BENCH_SHARE_S'] = str(SHARE_S)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that no group outlives it
     entries: list[dict[str, Any]] = []
     deadline = time.monotonic() + (math.inf if chosen.full or chosen.only else TOTAL_S)
     groups = [chosen.only] if chosen.only else GROUPS
