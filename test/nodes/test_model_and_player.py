@@ -169,9 +169,9 @@ def test_a_listener_that_keeps_all_is_waited_for(
 
 
 def test_a_loop_begins_again(ros: Any, session: Path) -> None:
-    graph, stamps, clock = play(ros, session, rate=50.0, start_s=11.0, loop=True)
+    # If a loop passes between two turns of the node, as on a busy machine, the clock stands still.
+    graph, stamps, clock = play(ros, session, rate=2.0, start_s=11.0, loop=True)
     node = graph.add('player')
-    # The clock is sent every so often, however long the loops take.
     graph.until(lambda: len(stamps) > 70 and (np.diff(clock) < 0).any())
     assert not node.finished
     assert set(np.round(np.multiply(stamps, 30)).astype(int)) == set(range(330, 361))
