@@ -44,10 +44,11 @@ def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None
         recording = read_session(session)
     with progress.status(f'fitting {len(recording.tracks.particles)} particles'):
         result = fit(recording, exposure_ms * 1e-3)
+    content = report.as_json(result)
     with output_folder(out) as folder:
-        write_json(folder / 'fit.json', report.as_json(result))
+        write_json(folder / 'fit.json', content)
         report.figure(result, folder / 'fit.png')
-    write_json(json_path, report.as_json(result))
+    write_json(json_path, content)
     console = Console(highlight=False)
     console.print(report.table(result))
     noise = result.noise

@@ -98,10 +98,11 @@ def _discover(recordings: Sequence[Session], out: Path, jobs: int, json_path: Pa
     tell_of_compiling(partial(progress.print, soft_wrap=True))
     with progress.status('looking') as status:
         found = discover(recordings, status.update, jobs=jobs)
+    content = found.as_json()
     with output_folder(out) as folder:
-        write_json(folder / 'result.json', found.as_json())
+        write_json(folder / 'result.json', content)
         write_model(folder / 'model.yaml', found.model, found.particles)
-    write_json(json_path, found.as_json())
+    write_json(json_path, content)
     console = Console(highlight=False)
     for line in found.sentences():
         console.print(line)

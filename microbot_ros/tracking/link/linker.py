@@ -220,9 +220,9 @@ class Linker:
                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Write appearance and measurements of `seen` particles into the states of each `track`.
 
-        Returns, of those followed in this frame and the last, displacements (M, 2) in this and the
-        last, and σ (M,). Published positions are measurements. Of shared outlines, not `alone`
-        (N,), the appearance is not taken.
+        A particle that shares its outline, and is not `alone`, keeps its appearance. Published
+        positions are measurements. Returns displacements (M, 2) in this frame and in the last, and
+        σ (M,), of the M particles that were followed in both.
         """
         states = self.states
         states.missed += 1
