@@ -43,7 +43,7 @@ def run(command: Sequence[str], rng: random.Random) -> tuple[int, str]:
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                           text=True) as process:
         over = threading.Event()
-        pauses = threading.Thread(target=_pause_until, args=[over, process.pid, rng])
+        pauses = threading.Thread(target=_pause_until, args=[over, process.pid, rng], daemon=True)
         pauses.start()
         said, _ = process.communicate()
         over.set()

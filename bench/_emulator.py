@@ -132,7 +132,7 @@ class Served(Emulated):
         self._patience = mock.patch('microbot_ros.drive.transport._WRITE_TIMEOUT_S', PATIENT_S)
         self._patience.start()
         server = Server(self.device, self.lines, self.faults, None)
-        self._thread = threading.Thread(target=server.run, args=[self._ending.is_set])
+        self._thread = threading.Thread(target=server.run, args=[self._ending.is_set], daemon=True)
         self._thread.start()
 
     def write(self, line: str) -> None:

@@ -161,6 +161,25 @@ def test_a_clean_up_that_hangs_is_told_and_ended(tmp_path: Path) -> None:
     assert done.stderr.count('line 10 in waits') == 2
 
 
+LEFT = """
+import threading
+
+def test_leaves_a_thread():
+    threading.Thread(target=threading.Event().wait, name='left').start()
+"""
+
+
+@pytest.mark.rig
+@pytest.mark.parametrize('failure', ['', '    raise RuntimeError'])
+def test_a_thread_that_is_left_keeps_no_suite_from_ending(tmp_path: Path, failure: str) -> None:
+    (tmp_path / 'test_some.py').write_text(LEFT + failure)
+    (tmp_path / 'conftest.py').write_text(HANGING)
+    done = run(tmp_path, '-q', '--timeout', '60', 'test_some.py')
+    assert done.returncode == bool(failure)
+    assert done.stdout.splitlines()[-1].startswith('1 failed' if failure else '1 passed')
+    assert done.stderr.splitlines()[-1] == 'threads that keep the process: left'
+
+
 def test_who_only_collects_tests_is_not_looked_on(tmp_path: Path) -> None:
     """The survey of mutants collects once and runs its children for hours."""
     (tmp_path / 'conftest.py').write_text(HANGING)

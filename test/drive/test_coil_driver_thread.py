@@ -50,7 +50,7 @@ def test_disarming_waits_until_it_was_done(driver, device, monkeypatch):
     drive(driver, device)
     request, held = driver._request, []
     monkeypatch.setattr(driver, '_request', held.append)
-    disarming = threading.Thread(target=driver.disarm)
+    disarming = threading.Thread(target=driver.disarm, daemon=True)
     disarming.start()
     until(lambda: held)
     disarming.join(0.05)

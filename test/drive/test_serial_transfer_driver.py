@@ -91,6 +91,7 @@ def remote(request, emulated):
     """The board behind a serial-to-network server, as a URL."""
     line = Terminal(emulated.url, 500_000, timeout=0.01)
     listener = socket.create_server(('127.0.0.1', 0))
+    listener.settimeout(60.0)
     ended = threading.Event()
     thread = threading.Thread(target=serve, args=(request.param, listener, line, ended))
     thread.start()

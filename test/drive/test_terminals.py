@@ -74,7 +74,7 @@ def test_a_waiting_poll_is_woken_by_another_thread(amplifier, device):
         while not returned.wait(0.05):
             amplifier.wake()
 
-    waking = threading.Thread(target=wake)
+    waking = threading.Thread(target=wake, daemon=True)
     waking.start()
     begin = time.monotonic()
     amplifier.poll(5.0)

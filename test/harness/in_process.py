@@ -133,7 +133,7 @@ class Ros:
         def spin() -> None:
             while not ending.is_set():
                 spin_once(self._executor, 0.01)
-        thread = threading.Thread(target=spin)
+        thread = threading.Thread(target=spin, daemon=True)
         thread.start()
         try:
             yield

@@ -50,7 +50,7 @@ def _once_settled(monkeypatch: pytest.MonkeyPatch, do: Callable[[], None]) -> th
             do()
         finally:
             os.kill(os.getpid(), signal.SIGTERM)
-    thread = threading.Thread(target=act)
+    thread = threading.Thread(target=act, daemon=True)
     settle = process._settle
 
     def settled(*what: Any) -> None:
