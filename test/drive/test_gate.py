@@ -731,3 +731,32 @@ def test_without_feedback_it_keeps_every_rule_but_those_of_measurement():
     gate.command(only(1, 1.0), 0.0)
     assert gate.tick(0.126) == ZERO
     assert tripped(gate, Reason.STALE)
+
+
+@pytest.mark.parametrize('lapsed_s', [None, 1.0, math.nan])
+@pytest.mark.parametrize('reading', [0.0, 0.5, -0.25, 1.25, -0.2501, 1.2501])
+def test_a_lapse_explains_currents_down_to_zero_until_they_had_time_to_settle(lapsed_s, reading):
+    gate = driving(only(0, 1.0))
+    for now in np.arange(0.0625, 1.0625, 0.0625):  # until the zero before it is forgotten
+        gate.measured(only(0, 1.0), now)
+        gate.command(only(0, 1.0), now)
+    if lapsed_s is not None:
+        gate.lapse(lapsed_s)
+    agrees = 0.75 <= reading <= 1.25
+    explained = lapsed_s == 1.0 and -0.25 <= reading <= 1.25
+    passes = gate.measured(only(0, reading), math.nextafter(1.0625, 0)) != ZERO
+    assert passes == (agrees or explained)
+    assert passes or tripped(gate, Reason.DEVIATION)
+    assert (gate.measured(only(0, reading), 1.0625) != ZERO) == agrees
+
+
+def test_what_a_lapse_explains_measures_nothing():
+    gate = driving(only(0, 1.0))
+    now = 0.0
+    while gate.armed:
+        now += 0.03125
+        gate.command(only(0, 1.0), now)
+        gate.lapse(now)
+        gate.measured(only(0, 0.5), now)
+    assert tripped(gate, Reason.SILENCE)
+    assert 0.25 < now < 0.375
