@@ -20,7 +20,7 @@ import numpy as np
 
 from microbot_ros.common import settings, units
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.plugins import installed
+from microbot_ros.common.extras import installed
 from microbot_ros.common.settings import setting
 
 GROUP = 'microbot_ros.cameras'

@@ -49,6 +49,7 @@ _SUFFIXES: dict[str, tuple[float, str]] = {
     '_per_s': (1.0, '1/s'),
     '_A_per_s': (1.0, 'A/s'),
     '_mT_per_s': (1e-3, 'mT/s'),
+    '_mT_per_A': (1e-3, 'mT/A'),
     '_rad_per_s': (1.0, 'rad/s'),
     '_rad_s': (1.0, 'rad/s'),
     '_per_s_mT': (1e3, '1/s/mT'),

@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.plugins import installed
+from microbot_ros.common.extras import installed
 from microbot_ros.drive.adapter import Adapter, adapter_at
 from microbot_ros.drive.clock import Clock
 from microbot_ros.drive.errors import (

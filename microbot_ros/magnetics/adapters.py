@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.plugins import installed
+from microbot_ros.common.extras import installed
 from microbot_ros.magnetics.sources import Source, as_points
 
 GROUP = 'microbot_ros.coils'

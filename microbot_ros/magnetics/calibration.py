@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.units import from_si, to_si
+from microbot_ros.common.tables import Layout, read_table
+from microbot_ros.common.units import from_si
 from microbot_ros.magnetics.coils import CoilSet
 from microbot_ros.magnetics.settings import CoilSettings, Vector, Winding
-from microbot_ros.magnetics.table import read_table
 
 _BELIEVED = 0.2  # choice: unexplained part that is accepted; probe placement costs a few percent
 _CLEAN = 0.01  # choice: unexplained part below which no swapped columns are looked for
@@ -139,13 +139,15 @@ def read_readings(path: str | Path, settings: CoilSettings) -> Readings:
     needed, optional = ['bx_mT', 'by_mT', *currents], ['bz_mT', 'x_mm', 'y_mm', 'z_mm']
     if CoilSet(settings).axes == 3:
         needed.insert(2, optional.pop(0))
-    table, lines = read_table(path, needed, optional)
+    table = read_table(Path(path), Layout(tuple(needed), tuple(optional)))
+    for name in table.columns:
+        table.refuse(np.isnan(table.columns[name]), f'expected a number in {name}')
 
     def column(name: str, missing: float) -> np.ndarray:
-        return to_si(name, table.get(name, np.full(len(lines), missing)))
+        return table.columns.get(name, np.full(len(table.lines), missing))
 
     return Readings(
-        np.column_stack([table[name] for name in currents]),
+        np.column_stack([table.columns[name] for name in currents]),
         np.column_stack([column(name, 0.0) for name in ('x_mm', 'y_mm', 'z_mm')]),
         np.column_stack([column(name, math.nan) for name in ('bx_mT', 'by_mT', 'bz_mT')]),
     )

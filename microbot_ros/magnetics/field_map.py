@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from microbot_ros.common.compiled import numba
 from microbot_ros.common.errors import InputError
+from microbot_ros.common.tables import Layout, read_table
 from microbot_ros.common.units import from_si, to_si
 from microbot_ros.magnetics.sources import as_points
-from microbot_ros.magnetics.table import read_table
 
 COLUMNS = ('x_mm', 'y_mm', 'z_mm', 'bx_mT_per_A', 'by_mT_per_A', 'bz_mT_per_A')
 _FIELD = 'field_mT_per_A'
@@ -207,17 +207,15 @@ def _from_arrays(path: Path) -> FieldMap:
 
 
 def _from_table(path: Path) -> FieldMap:
-    table, lines = read_table(path, COLUMNS)
-    columns = [to_si(name, table[name]) for name in COLUMNS[:3]]
-    places = tuple(np.unique(column) for column in columns)
-    at = tuple(np.searchsorted(*pair) for pair in zip(places, columns, strict=True))
+    table = read_table(path, Layout(COLUMNS))
+    columns = [table.columns[name] for name in COLUMNS]
+    places = tuple(np.unique(column) for column in columns[:3])
+    at = tuple(np.searchsorted(*pair) for pair in zip(places, columns[:3], strict=True))
     size = tuple(map(len, places))
     index = np.ravel_multi_index(at, size)
-    first, counts = np.unique(index, return_index=True, return_counts=True)[1:]
-    if (counts > 1).any():
-        again = np.flatnonzero(index == index[first[counts.argmax()]])[1]
-        raise InputError(path, 'expected every place once; this one is there already',
-                         lines[again])
+    again = np.ones(len(index), bool)
+    again[np.unique(index, return_index=True)[1]] = False
+    table.refuse(again, 'expected every place once; this one is there already')
     if len(index) < math.prod(size):
         hole = np.unravel_index(np.setdiff1d(np.arange(math.prod(size)), index)[0], size)
         spot = ', '.join(f'{from_si("_mm", along[k]):g}'
@@ -225,5 +223,5 @@ def _from_table(path: Path) -> FieldMap:
         raise InputError(path, f'expected a full grid of {" × ".join(map(str, size))} places; '
                          f'({spot}) mm is missing')
     field = np.empty((len(index), 3))
-    field[index] = np.column_stack([table[name] for name in COLUMNS[3:]])
-    return FieldMap(places, to_si('_mT', field.reshape(*size, 3)), path)
+    field[index] = np.column_stack(columns[3:])
+    return FieldMap(places, field.reshape(*size, 3), path)

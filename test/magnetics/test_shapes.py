@@ -182,12 +182,12 @@ def spoilt(value: str):
 @pytest.mark.parametrize(('change', 'header', 'complaint'), [
     (without(100), COLUMNS, r'full grid of 9 × 9 × 9 places; \(-3, -2, -3\) mm is missing'),
     (lambda rows: [*rows, rows[5]], COLUMNS, r'coil\.csv:731: expected every place once'),
-    (spoilt('nan'), COLUMNS, r"coil\.csv:5: expected a finite number in by_mT_per_A, found 'nan'"),
-    (spoilt('-inf'), COLUMNS, r'coil\.csv:5: expected a finite number in by_mT_per_A'),
-    (spoilt(''), COLUMNS, r"coil\.csv:5: expected a finite number in by_mT_per_A, found ''"),
+    (spoilt('nan'), COLUMNS, r"coil\.csv:5: expected a number in 'by_mT_per_A', found 'nan'"),
+    (spoilt('-inf'), COLUMNS, r"coil\.csv:5: expected a number in 'by_mT_per_A'"),
+    (spoilt(''), COLUMNS, r"coil\.csv:5: expected a number in 'by_mT_per_A', found an empty cell"),
     (lambda rows: [row for row in rows if row[2] == 0], COLUMNS, 'two or more places along z'),
-    (lambda rows: rows[:0], COLUMNS, r'coil\.csv:1: expected rows of numbers'),
-    (lambda rows: rows, (*COLUMNS[:5], 'bz'), r'coil\.csv:1: expected the columns x_mm,y_mm,z_mm'),
+    (lambda rows: rows[:0], COLUMNS, r'coil\.csv:1: expected rows below'),
+    (lambda rows: rows, (*COLUMNS[:5], 'bz'), r'coil\.csv:1: expected the header x_mm,y_mm,z_mm'),
     (lambda rows: [row for row in rows if abs(row[0]) <= 1], COLUMNS,
      "'coil_plus_x' has a map that ends 1 mm from the workspace centre; expected more than"),
 ])

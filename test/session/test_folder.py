@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
+from microbot_ros.common.tables import to_text
 from microbot_ros.common.units import exact_si
 from microbot_ros.session import read_session, write_session
-from microbot_ros.session.tables.table import to_text
 
 ROLLING_ROBOT = Path(__file__).parents[2].parent / 'shared' / 'data' / 'rolling_robot'
 

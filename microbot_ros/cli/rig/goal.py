@@ -94,7 +94,7 @@ def _position(text: str) -> tuple[float, float]:
 
 
 def _read(file: Path) -> tuple[Places, list[int] | None]:
-    from microbot_ros.session.tables.table import Layout, read_table
+    from microbot_ros.common.tables import Layout, read_table
 
     table = read_table(file, Layout(('x_um', 'y_um')), Layout(('x_um', 'y_um', 'particle')))
     columns = table.columns

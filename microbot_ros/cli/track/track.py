@@ -176,9 +176,9 @@ class _Commanded:
     """Drive of the particles, from a commands.csv."""
 
     def __init__(self, path: Path) -> None:
+        from microbot_ros.common.tables import read_table
         from microbot_ros.estimation.online.commands import NEGLIGIBLE
         from microbot_ros.session.tables.folder import ROLLING, UNIFORM
-        from microbot_ros.session.tables.table import read_table
         from microbot_ros.tracking import Drive
 
         table = read_table(path, UNIFORM, ROLLING)

@@ -99,7 +99,7 @@ def _from_lists(parameters: OpenLoopParameters) -> tuple[Commands, float]:
 
 
 def _from_file(parameters: OpenLoopParameters) -> tuple[Commands, float]:
-    from microbot_ros.session.tables.table import Layout, read_table
+    from microbot_ros.common.tables import Layout, read_table
 
     table = read_table(
         Path(parameters.file), Layout(('t_s', 'bx_mT', 'by_mT')),

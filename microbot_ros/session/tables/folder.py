@@ -21,9 +21,9 @@ from microbot_ros.common.records import (
     Tracks,
     height_problem,
 )
+from microbot_ros.common.tables import Layout, Table, read_table, write_table
 from microbot_ros.common.units import exact_display, exact_si
 from microbot_ros.session.tables.plausibility import LARGEST_ID
-from microbot_ros.session.tables.table import Layout, Table, read_table, write_table
 
 NOMINAL_FIELD = 1e-3
 """Choice: field [T] given to a rolling field if a session states none.

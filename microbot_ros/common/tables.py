@@ -155,8 +155,11 @@ def _header(
             return names, layout
     optional = sorted({name for layout in layouts for name in layout.optional})
     hint = f' and optionally {", ".join(optional)}' if optional else ''
-    found = clipped(text.strip())
-    raise InputError(path, f'expected the header {_headers(layouts)}{hint}, found {found}', line)
+    missing = min(([name for name in layout.required if name not in names] for layout in layouts),
+                  key=len)
+    lack = f'; missing: {", ".join(missing)}' if missing else ''
+    raise InputError(path, f'expected the header {_headers(layouts)}{hint}, '
+                     f'found {clipped(text.strip())}{lack}', line)
 
 
 def _column(
