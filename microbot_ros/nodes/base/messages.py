@@ -26,6 +26,7 @@ from microbot_ros.cameras.camera import CameraFormat
 from microbot_ros.common.errors import clipped
 from microbot_ros.common.records import Commands
 from microbot_ros.loop.points import ESTIMATE
+from microbot_ros.session.mcap.cloud import POINT_TYPES, cloud_table
 
 if TYPE_CHECKING:
     from microbot_ros.tracking.locate.colour import Weights
@@ -52,12 +53,7 @@ it."""
 
 _PLANNED = ['bx', 'by', 'frequency']
 
-_POINT_TYPES = {
-    'i1': PointField.INT8, 'u1': PointField.UINT8, 'i2': PointField.INT16,
-    'u2': PointField.UINT16, 'i4': PointField.INT32, 'u4': PointField.UINT32,
-    'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64,
-}
-_NUMPY_TYPES = {code: name for name, code in _POINT_TYPES.items()}
+_POINT_CODES = {name: code for code, name in POINT_TYPES.items()}
 
 
 class MessageError(ValueError):
@@ -147,7 +143,7 @@ def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:
     layout: dict[str, Any] = dict(kind.fields or {})
     fields = [
         PointField(name=name, offset=layout[name][1], count=1,
-                   datatype=_POINT_TYPES[layout[name][0].str[1:]])
+                   datatype=_POINT_CODES[layout[name][0].str[1:]])
         for name in kind.names or ()
     ]
     return PointCloud2(
@@ -223,13 +219,8 @@ def points(message: PointCloud2, kind: np.dtype, optional: Collection[str] = ())
     count = message.width * message.height
     if len(message.data) < count * message.point_step:
         raise MessageError(f'expected {count} points, found {len(message.data)} bytes')
-    order = '>' if message.is_bigendian else '<'
-    theirs = np.dtype({
-        'names': names, 'offsets': [field.offset for field in message.fields],
-        'formats': [order + _NUMPY_TYPES[field.datatype] for field in message.fields],
-        'itemsize': message.point_step})
-    raw = np.frombuffer(message.data, theirs, count)
-    if theirs == kind:
+    raw = cloud_table(message)
+    if raw.dtype == kind:
         return raw
     result = np.empty(count, kind)
     for name in kind.names or ():

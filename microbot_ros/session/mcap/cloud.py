@@ -10,8 +10,9 @@ import numpy as np
 
 from microbot_ros.common.errors import InputError
 
-# sensor_msgs/msg/PointField: INT8 = 1 … FLOAT64 = 8.
-_TYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+POINT_TYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+"""Kind of number by code, of sensor_msgs/msg/PointField: INT8 = 1 … FLOAT64 = 8."""
+
 _REQUIRED = ('id', 'x', 'y')
 _OPTIONAL = ('theta', 'sigma')
 
@@ -32,17 +33,17 @@ def is_cloud(content: Any) -> bool:
     return (
         getattr(content, '__msgtype__', '') == 'sensor_msgs/msg/PointCloud2'
         and len(content.data) == content.width * content.height * content.point_step
-        and all(field.datatype in _TYPES and field.count == 1 for field in content.fields)
+        and all(field.datatype in POINT_TYPES and field.count == 1 for field in content.fields)
     )
 
 
 def cloud_table(content: Any) -> np.ndarray:
-    """Return the points of a decoded cloud `content`, (n,) with a named column per field.
+    """Return the points of a cloud `content`, (n,) with a named column per field.
 
     Parameters
     ----------
     content : object
-        The decoded message.
+        The message, of whatever library.
 
     Returns
     -------
@@ -51,7 +52,7 @@ def cloud_table(content: Any) -> np.ndarray:
     """
     fields = tuple((field.name, field.datatype, field.offset) for field in content.fields)
     dtype = _dtype(fields, content.point_step, bool(content.is_bigendian))
-    return np.frombuffer(content.data, dtype)
+    return np.frombuffer(content.data, dtype, content.width * content.height)
 
 
 def cloud_points(content: Any, path: Path, topic: str) -> dict[str, np.ndarray]:
@@ -92,6 +93,6 @@ def _dtype(fields: tuple[tuple[str, int, int], ...], step: int, big: bool) -> np
     order = '>' if big else '<'
     return np.dtype({
         'names': [name for name, _, _ in fields],
-        'formats': [order + _TYPES[kind] for _, kind, _ in fields],
+        'formats': [order + POINT_TYPES[kind] for _, kind, _ in fields],
         'offsets': [offset for _, _, offset in fields], 'itemsize': step,
     })
