@@ -141,7 +141,7 @@ def read_readings(path: str | Path, settings: CoilSettings) -> Readings:
         needed.insert(2, optional.pop(0))
     table = read_table(Path(path), Layout(tuple(needed), tuple(optional)))
     for name in table.columns:
-        table.refuse(np.isnan(table.columns[name]), f'expected a number in {name}')
+        table.refuse(np.isnan(table.columns[name]), f"expected a number in '{name}'")
 
     def column(name: str, missing: float) -> np.ndarray:
         return table.columns.get(name, np.full(len(table.lines), missing))

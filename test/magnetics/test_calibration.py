@@ -169,6 +169,10 @@ def test_files_that_are_none(tmp_path):
     path.write_text(','.join(HEADER) + '\n' + ','.join(['1'] * 9 + ['a bit']) + '\n')
     with pytest.raises(InputError, match=r"readings.csv:2: .* in 'bz_mT', found 'a bit'"):
         read_readings(path, CoilSettings())
+    # A column that may be left out has no empty cells either: half a column says nothing.
+    path.write_text(','.join(HEADER) + '\n' + ','.join(['1'] * 9 + ['']) + '\n')
+    with pytest.raises(InputError, match=r"readings.csv:2: expected a number in 'bz_mT'$"):
+        read_readings(path, CoilSettings())
 
 
 def test_it_starts_from_the_coils_that_a_rig_names_and_says_so(tmp_path):
