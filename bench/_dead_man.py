@@ -90,7 +90,12 @@ class _Rig:
     def _armed(self) -> bool:
         # Not `GraphClient.arm`, which would wait long for an answer of a driver that was killed.
         answer = self._arming.call_async(SetBool.Request(data=True))
-        return self._within(1.0, answer.done) and bool(answer.result().success)
+        armed = self._within(1.0, answer.done) and bool(answer.result().success)
+        if armed and self._stick and not self._driving():
+            # A stick that is deflected at arming moves nothing until it was centred once.
+            self._move_stick(0.0)
+            self._client.spin(_JOY_S)
+        return armed
 
     def spent_s(self, end: Callable[[], None], deaf: bool) -> float:
         """From the last good command to zero, when `end` happens now.
@@ -124,11 +129,14 @@ class _Rig:
 
     def _spin(self, seconds: float) -> None:
         if self._stick and time.monotonic() - self._moved_s >= _JOY_S:
-            self._moved_s = time.monotonic()
-            stick = Joy(axes=[self._stick, 0.0])
-            stick.header.stamp = self._client.node.get_clock().now().to_msg()
-            self._joystick.publish(stick)
+            self._move_stick(self._stick)
         self._client.spin(seconds)
+
+    def _move_stick(self, deflection: float) -> None:
+        self._moved_s = time.monotonic()
+        stick = Joy(axes=[deflection, 0.0])
+        stick.header.stamp = self._client.node.get_clock().now().to_msg()
+        self._joystick.publish(stick)
 
     def steer_by_hand(self, deflection: float) -> None:
         """Let a joystick drive, or else the controller that needs nobody."""
