@@ -15,6 +15,7 @@ from unittest import mock
 
 import numpy as np
 
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
@@ -31,8 +32,8 @@ LIMITS = Limits(
     idle_s=60.0)
 """Limits of a driver in tests. Wide in time: a busy machine is no fault."""
 _DEADLINE_S = 20.0
-PATIENT_S = 5.0
-"""Time [s] that a line to an amplifier in the same process may take no byte. Wide, like LIMITS."""
+_PATIENT = {'write_s': 5.0, 'read_back_s': 2.0}
+"""Patience [s] with an amplifier in the same process. Wide, like LIMITS."""
 
 
 def until(condition: Callable[[], Any], step: Callable[[], object] = lambda: time.sleep(0.001),
@@ -109,11 +110,13 @@ class Emulated(ABC):
 class Served(Emulated):
     """Emulated amplifier that a thread of this process serves: quick to start.
 
-    It takes turns with the driver, so a busy machine may keep it from reading for longer than a
-    driver waits for a line that takes no byte. Until it ends, drivers in this process wait for
-    `PATIENT_S`. `watchdog_s` is None for a board without a watchdog; `faults` are there from the
-    beginning.
+    It takes turns with the driver, so a busy machine may keep it from reading or answering for
+    longer than a driver waits. Until the last one ends, drivers in this process wait for longer.
+    `watchdog_s` is None for a board without a watchdog; `faults` are there from the beginning.
     """
+
+    _patience = mock.patch.multiple(PATIENCE, **_PATIENT)
+    _running = 0
 
     def __init__(self, folder: Path, protocol: str = 'serial_transfer', *,
                  watchdog_s: float | None = 0.1, channels: int = 4,
@@ -129,8 +132,9 @@ class Served(Emulated):
         self.url = ','.join(str(line.link) for line in self.lines)
         self.faults = Faults([parse(text, time.monotonic()) for text in faults])
         self._ending = threading.Event()
-        self._patience = mock.patch('microbot_ros.drive.transport._WRITE_TIMEOUT_S', PATIENT_S)
-        self._patience.start()
+        if not Served._running:
+            self._patience.start()
+        Served._running += 1
         server = Server(self.device, self.lines, self.faults, None)
         self._thread = threading.Thread(target=server.run, args=[self._ending.is_set], daemon=True)
         self._thread.start()
@@ -174,7 +178,9 @@ class Served(Emulated):
             for line in self.lines:
                 line.unplug()
             self._file.close()
-            self._patience.stop()
+            Served._running -= 1
+            if not Served._running:
+                self._patience.stop()
 
 
 class EmulatorProcess(Emulated):

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,6 +31,7 @@ from warm import CACHE
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import advice
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.control.registry import PluginError
 
 # All that is imported and collected stays until the end: there is no garbage to look for.
@@ -162,6 +163,15 @@ def real_time() -> bool:
     """Whether the system lets a process run in real time."""
     program = 'import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))'
     return not subprocess.run([sys.executable, '-c', program], capture_output=True).returncode
+
+
+@pytest.fixture
+def patience(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Changes how long is waited for what others do, by the names in `Patience`."""
+    def change(**seconds: float | tuple[float, ...]) -> None:
+        for name, value in seconds.items():
+            monkeypatch.setattr(PATIENCE, name, value)
+    return change
 
 
 @pytest.fixture(scope='session')

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from microbot_ros.archive.work import Job, VersionError, do
 from microbot_ros.common.errors import InputError, RigError
 from microbot_ros.common.extras import require
+from microbot_ros.common.patience import PATIENCE
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -24,8 +25,6 @@ _CHECKED = ('python', 'microbot_ros', 'distributed', 'dask', 'cloudpickle', 'msg
 """Packages that must be equal, so that messages are understood and numbers agree to the last
 bit."""
 
-_FOUND_WITHIN = '10s'
-"""Time in which a scheduler must answer. Choice: longer than any connection takes."""
 DASHBOARD = '127.0.0.1:8787'
 """Address of the dashboard, the default port of Dask."""
 
@@ -89,7 +88,7 @@ def _remote(scheduler: str) -> Iterator[Client]:
         try:
             # A client without address would complain again when it is deleted.
             parse_host_port(parse_address(scheduler)[1])
-            client = Client(scheduler, timeout=_FOUND_WITHIN, set_as_default=False)
+            client = Client(scheduler, timeout=PATIENCE.scheduler_s, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(
                 scheduler, 'expected the address of a running Dask scheduler, such as '

@@ -8,18 +8,17 @@ from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from microbot_ros.common.patience import PATIENCE
+
 MOST = 64
 """Largest number of HTTP connections. Choice: a browser opens six for a page; 16 pages that load
 at once need 96 for some 100 ms, and those over the limit are opened again by the browser."""
-LONGEST_S = 30.0
-"""Longest life [s] of an HTTP connection without an answer in progress. Choice: a page loads in
-less than 1 s, a recording in minutes."""
 
 _order = itertools.count()
 
 
 class BriefConnection(H11Protocol):
-    """HTTP connection that is closed after `LONGEST_S`, whatever its client sends.
+    """HTTP connection that is closed after `Patience.connection_s`, whatever its client sends.
 
     If there are more than `MOST`, the oldest is closed in favour of the newest: clients that hold
     connections without requests cannot exclude a page, and its STOP. A connection that became a
@@ -36,7 +35,7 @@ class BriefConnection(H11Protocol):
         """
         super().connection_made(transport)
         self.number = next(_order)
-        self._end = self.loop.call_later(LONGEST_S, self._expire)
+        self._end = self.loop.call_later(PATIENCE.connection_s, self._expire)
         brief = [one for one in self.connections
                  if isinstance(one, BriefConnection) and not one.transport.is_closing()]
         if len(brief) > MOST:
@@ -66,7 +65,7 @@ class BriefConnection(H11Protocol):
 
     def _expire(self) -> None:
         if self.cycle and self.cycle.response_started and not self.cycle.response_complete:
-            self._end = self.loop.call_later(LONGEST_S, self._expire)
+            self._end = self.loop.call_later(PATIENCE.connection_s, self._expire)
         else:
             self._abort()
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import installed
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.drive.adapter import Adapter, adapter_at
 from microbot_ros.drive.clock import Clock
 from microbot_ros.drive.errors import (
@@ -33,10 +34,6 @@ from microbot_ros.drive.transport import Port, has_descriptor
 
 COILS = ('coil_plus_y', 'coil_plus_x', 'coil_minus_y', 'coil_minus_x')
 """Names of four coils in the plane, in the order of every array of currents."""
-
-READ_BACK_S = 0.5
-"""Time [s] that a driver waits for the reading that confirms a zero. Choice: ten readings of the
-slowest protocol (50 ms); half would report a slow line as unconfirmed, twice delays every stop."""
 
 AGAIN_S = 0.01
 """Interval [s] at which a zero that no reading has shown is sent again, as the line may have
@@ -208,8 +205,6 @@ class Amplifier(ABC):
     """Function that opens a port; tests replace it."""
     adapter_at: Callable[[str], Adapter | None] = staticmethod(adapter_at)
     """Function that finds the USB adapter behind a port; tests replace it."""
-    read_back_s = READ_BACK_S
-    """Time [s] that this driver waits for the read-back; see `READ_BACK_S`."""
     unreachable: tuple[str, ...] = ()
     """Ports that could not be reached since `connect` was called."""
     report_age_s = 0.0
@@ -447,12 +442,13 @@ class Amplifier(ABC):
                 self.zero()
 
     def _await_zero(self) -> None:
-        deadline = self.clock.now() + self.read_back_s
+        deadline = self.clock.now() + PATIENCE.read_back_s
         while (left := deadline - self.clock.now()) > 0:
             if any(self.shows_zero(reading.currents_A)
                    for reading in self.poll(min(left, AGAIN_S))):
                 return
-        raise NoAnswerError(self.url, f'measured currents of zero within {self.read_back_s:g} s')
+        raise NoAnswerError(
+            self.url, f'measured currents of zero within {PATIENCE.read_back_s:g} s')
 
     def _open_port(self, url: str, baud: int, **options: Any) -> Port:
         """Open a port, unless another adapter than before is there."""

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from microbot_ros.common.errors import InputError
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.common.real_time import set_realtime_priority
 from microbot_ros.drive.amplifier import (
     COILS,
-    READ_BACK_S,
     Amplifier,
     Command,
     Reading,
@@ -50,11 +50,6 @@ _TOLD_S = 0.01
 thousand readings a second."""
 _LOOK_S = 0.002
 """Interval [s] at which `await_zero` checks. Choice: a tenth of the interval of most readings."""
-_ARMING_S = 10.0
-"""Longest time [s] of arming. Choice: 16 coils of 0.1 s settling take 3.2 s, with room for slow
-lines."""
-_DISARMING_S = 0.2
-"""Longest time [s] that `disarm` waits for the line. Choice: two attempts on the slowest line."""
 STOPPED = 'the rig was stopped after this request; request it again'
 """Why arming is refused that was requested before a stop, a trip or a signal."""
 WITHOUT_WATCHDOG = ('if this computer loses its power while coils are driven, the last currents '
@@ -265,28 +260,26 @@ class CoilDriver:
 
     @property
     def zero_overdue(self) -> bool:
-        """Whether a zero that a reading could confirm is unconfirmed after `READ_BACK_S`."""
+        """Whether a zero that a reading could confirm is late (`Patience.read_back_s`)."""
         since_s = self._zero_since_s
         return (self.zero is Zero.SENT and self.amplifier.reads_back and since_s is not None
-                and self._clock.now() - since_s > READ_BACK_S)
+                and self._clock.now() - since_s > PATIENCE.read_back_s)
 
-    def await_zero(self, sent: threading.Event, seconds: float = READ_BACK_S) -> Zero | None:
+    def await_zero(self, sent: threading.Event) -> Zero | None:
         """Wait until a zero is confirmed, or cannot be confirmed.
 
         Parameters
         ----------
         sent : threading.Event
             Event that `request_zero` returned; readings from before say nothing about this zero.
-        seconds : float
-            Longest time to wait [s].
 
         Returns
         -------
         Zero or None
             The state `zero`; UNREACHABLE if the driver's thread has not sent it in time.
         """
-        deadline_s = self._clock.now() + seconds
-        if not self._clock.wait(sent, seconds):
+        deadline_s = self._clock.now() + PATIENCE.read_back_s
+        if not self._clock.wait(sent, PATIENCE.read_back_s):
             return Zero.UNREACHABLE
         final = Zero.CONFIRMED if self.amplifier.reads_back else Zero.SENT
         while self.connected and self.zero is not final and self._clock.now() < deadline_s:
@@ -330,10 +323,10 @@ class CoilDriver:
             return 'the amplifier is not connected'
         answer = self.request_arming(self.epoch if epoch is None else epoch)
         try:
-            return answer.result(_ARMING_S)
+            return answer.result(PATIENCE.arming_s)
         except TimeoutError:
             self.disarm()
-            return f'the coil driver did not answer within {_ARMING_S:g} s'
+            return f'the coil driver did not answer within {PATIENCE.arming_s:g} s'
 
     def request_zero(self, fault: tuple[Reason, str] | None = None) -> threading.Event:
         """Zero and disarm, without waiting.
@@ -373,7 +366,7 @@ class CoilDriver:
         """
         done = self.request_zero(fault)
         if self._thread is not None:
-            done.wait(_DISARMING_S)
+            done.wait(PATIENCE.disarming_s)
 
     def attend(self) -> None:
         """Register the heartbeat of an operator (`Gate.attend`)."""

@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.drive import sentinel
 
 _SCRIPT = Path(sentinel.__file__)
@@ -19,9 +20,6 @@ _SILENCE_S = 0.1
 watchdog, 0.1 s."""
 _FEED_S = 0.02
 """Interval of the heartbeats [s]. Choice: a fifth of the silence, so that four may be late."""
-_LEAVE_S = 1.0
-"""Time [s] that a sentinel has to end before it is killed. Choice: five times the 0.2 s of its
-last zeros."""
 _UNREAD_BYTES = 4096
 """Heartbeats that a sentinel may leave unread before it counts as lost, 82 s of them: the size of
 the smallest pipe that Linux makes."""
@@ -79,7 +77,7 @@ class LastResort:
     def _end(self) -> None:
         self._pipe.close()
         try:
-            self._process.wait(_LEAVE_S)
+            self._process.wait(PATIENCE.sentinel_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

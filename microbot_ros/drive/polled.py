@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from microbot_ros.common.errors import InputError
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Counters, Zero
 from microbot_ros.drive.clock import Clock
 from microbot_ros.drive.errors import (
@@ -224,11 +225,11 @@ class PolledAmplifier(Amplifier):
         reached = [device for device in self.devices if device not in self._others]
         # An attempt to reconnect is repeated soon, with its zero; the first one is not.
         if self._lines:
-            self._make_safe(reached, 0.0 if self._known else self.read_back_s)
+            self._make_safe(reached, 0.0 if self._known else PATIENCE.read_back_s)
 
     def _end(self) -> Zero:
         self.counters.frames_sent += 1
-        return self._make_safe(self.devices, self.read_back_s)
+        return self._make_safe(self.devices, PATIENCE.read_back_s)
 
     def _make_safe(self, devices: Sequence[int], patience_s: float) -> Zero:
         """Zero these devices, read back and disable them; return the worst state of any.

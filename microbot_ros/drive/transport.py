@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 
 import serial
 
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.drive.errors import (
     PortBusyError,
     PortLostError,
@@ -23,9 +24,6 @@ from microbot_ros.drive.low_latency import request_low_latency
 _SLICE_S = 0.005
 """Longest uninterrupted wait in the kernel [s]: the longest time that `close` from another thread
 takes. Choice: the tick of the driver's thread."""
-_WRITE_TIMEOUT_S = 0.1
-"""Time [s] without an accepted byte after which a line is lost. Choice: the watchdog time of most
-devices."""
 _MOST_AT_ONCE = 4096
 """Largest number of bytes read at once. Choice: a page, so that a babbling device cannot hold the
 thread."""
@@ -75,7 +73,7 @@ class Port:
         self.url = url
         self._woken = False
         # pyserial's RFC 2217 has no write timeout: there TCP decides when a line is lost.
-        write_timeout = None if url.startswith('rfc2217:') else _WRITE_TIMEOUT_S
+        write_timeout = None if url.startswith('rfc2217:') else PATIENCE.write_s
         try:
             self._serial = serial.serial_for_url(
                 url, baudrate=baud, timeout=_SLICE_S, write_timeout=write_timeout,
@@ -110,8 +108,8 @@ class Port:
                 self._serial.write(data)
                 return
             while data:
-                if not select.select([], [descriptor], [], _WRITE_TIMEOUT_S)[1]:
-                    raise TimeoutError(f'no byte could be written for {_WRITE_TIMEOUT_S:g} s')
+                if not select.select([], [descriptor], [], PATIENCE.write_s)[1]:
+                    raise TimeoutError(f'no byte could be written for {PATIENCE.write_s:g} s')
                 data = data[os.write(descriptor, data):]
 
     def receive(self, timeout_s: float = 0.0) -> bytes:

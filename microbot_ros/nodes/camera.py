@@ -18,14 +18,12 @@ from microbot_ros.cameras.camera import (
 )
 from microbot_ros.cameras.stream import FrameStream
 from microbot_ros.common.errors import InputError
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.common.settings import setting
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import ERROR, IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.nodes.base.preview import Preview
 
-_RETRY_SECONDS = 1.0
-"""Pause [s] before a lost device is tried again. Choice: a device that is plugged in works after
-it; half would fill the log."""
 _FRESH_SECONDS = 1.0
 """Time [s] that an open camera may wait to be started. Choice: frames gathered for longer are
 discarded with their stream."""
@@ -148,7 +146,7 @@ class CameraNode(RigNode):
             self._trouble = f'{error}; reopening the same device'
             self.complain(self._trouble)
             self._close()
-            self._stopping.wait(_RETRY_SECONDS)
+            self._stopping.wait(PATIENCE.reopen_s)
 
     def _take(self) -> None:
         assert self._stream is not None

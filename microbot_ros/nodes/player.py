@@ -19,6 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import require
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.common.settings import setting
 from microbot_ros.nodes.base.lifecycle import OK, RELIABLE, RigNode
 from microbot_ros.nodes.base.messages import stamp_at
@@ -34,9 +35,6 @@ messages."""
 _SETTLED_SECONDS = 0.5
 """Time [s] without a new listener before anything is sent: a late listener misses the beginning.
 Choice: half loses listeners that start slowly, twice delays every playback."""
-_NOBODY_SECONDS = 3.5
-"""Time [s] after which it plays without listeners. By default Fast DDS announces itself every 3 s,
-and the first announcement is sometimes lost."""
 _ACKNOWLEDGED_SECONDS = 3.5
 """Time [s] at the end for listeners to acknowledge everything: Fast DDS asks them every 3 s by
 default."""
@@ -182,7 +180,7 @@ class PlayerNode(RigNode):
             self._listeners, self._found = listeners, now
         incomplete = (self._outlets.missing() or not listeners
                       or now - self._found < _SETTLED_SECONDS)
-        if not self._alone or (incomplete and now - self._asked < _NOBODY_SECONDS):
+        if not self._alone or (incomplete and now - self._asked < PATIENCE.listeners_s):
             return
         self._begun = True
         if not self._playback.paused:

@@ -113,10 +113,10 @@ def test_a_scheduler_that_dies_loses_nothing(many):
     assert len(results(out)) == 30
 
 
-def test_nobody_there_and_other_versions(many):
+def test_nobody_there_and_other_versions(many, patience):
     folder, place = many
-    with mock.patch.object(cluster, '_FOUND_WITHIN', '1s'), \
-            pytest.raises(InputError, match='expected the address of a running Dask scheduler'):
+    patience(scheduler_s=1.0)
+    with pytest.raises(InputError, match='expected the address of a running Dask scheduler'):
         batch.run_batch('fit', [folder], place / 'no', SETTINGS, scheduler='tcp://127.0.0.1:9')
     with pytest.raises(InputError, match='expected the address of a running Dask scheduler'):
         batch.run_batch('fit', [folder], place / 'no', SETTINGS, scheduler='nonsense')

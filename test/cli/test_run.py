@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,7 +14,6 @@ from in_process import command
 
 from microbot_ros.cli.rig import run
 from microbot_ros.common.errors import InputError
-from microbot_ros.nodes.client import rig_client
 
 
 class Children:
@@ -116,8 +116,8 @@ def test_what_a_node_refuses_is_two_and_where_it_stands(
 
 @pytest.mark.usefixtures('children')
 def test_arming_without_a_driver_is_one(
-        config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rig_client, 'FIND_S', 0.2)
+        config: Path, patience: Callable[..., None]) -> None:
+    patience(find_s=0.2)
     status, _, error = _run(config, '--arm')
     assert status == 1
     assert 'coil_driver was not found in the namespace /lab' in error

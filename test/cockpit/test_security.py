@@ -190,8 +190,9 @@ def test_idle_connections_do_not_keep_a_page_out(served: Any) -> None:
 
 
 def test_a_request_that_never_ends_is_cut(
-        serve: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('microbot_ros.cockpit.connections.LONGEST_S', 0.2)
+        serve: Callable[..., Any], monkeypatch: pytest.MonkeyPatch,
+        patience: Callable[..., None]) -> None:
+    patience(connection_s=0.2)
     served = serve()
     with socket.create_connection(('127.0.0.1', served.port), timeout=10) as one:
         one.sendall(b'GET / HTTP/1.1\r\nHost: 127')

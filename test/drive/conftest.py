@@ -4,15 +4,20 @@ import pytest
 
 from bench._emulator import FULL_SCALE_A, LIMITS, EmulatorProcess, Served
 from bench._virtual import VirtualClock
-from microbot_ros.drive.amplifier import Amplifier, amplifier_class
+from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.polled import PolledAmplifier
 
 
 @pytest.fixture
-def emulate(tmp_path):
-    """A function that starts the emulator of a protocol with options; all end with the test."""
+def emulate(tmp_path, patience):
+    """A function that starts the emulator of a protocol with options; all end with the test.
+
+    A machine that is busy with other tests may pause for longer than a line may, and an answer
+    that it brings late spoils the next, which is waited for in vain, then asked for again.
+    """
+    patience(write_s=5.0, read_back_s=2.0)
     started = []
 
     def start(protocol: str, *options: str) -> EmulatorProcess:
@@ -22,14 +27,6 @@ def emulate(tmp_path):
     yield start
     for emulated in started:
         emulated.end()
-
-
-@pytest.fixture(autouse=True)
-def patient(monkeypatch):
-    """A machine that is busy with other tests may pause for longer than a line may, and an answer
-    that it brings late spoils the next, which is waited for in vain, then asked for again."""
-    monkeypatch.setattr('microbot_ros.drive.transport._WRITE_TIMEOUT_S', 5.0)
-    monkeypatch.setattr(Amplifier, 'read_back_s', 2.0)
 
 
 class Script:

@@ -9,9 +9,8 @@ import pytest
 from bench._emulator import MEASURED
 from bench._virtual import VirtualAmplifier
 from microbot_ros.common.errors import InputError
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.drive.amplifier import (
-    READ_BACK_S,
-    Amplifier,
     Command,
     Swing,
     Watchdog,
@@ -34,12 +33,6 @@ POLLED = sorted({*MEASURED} - {'serial_transfer'})
 
 every_protocol = pytest.mark.parametrize('protocol', MEASURED)
 polled_protocols = pytest.mark.parametrize('protocol', POLLED)
-
-
-@pytest.fixture(autouse=True)
-def unhurried(monkeypatch):
-    """What tests of other files are patient with: here no machine is late."""
-    monkeypatch.setattr(Amplifier, 'read_back_s', READ_BACK_S)
 
 
 @pytest.fixture
@@ -352,7 +345,7 @@ def test_a_zero_that_nothing_confirms_is_none(amplifier, device):
     device.coils._settle = lambda _: None  # the stages are fused: currents stay
     began_s = device.clock.now_s
     assert amplifier.close() is Zero.SENT
-    assert READ_BACK_S <= device.clock.now_s - began_s <= READ_BACK_S + 0.1
+    assert PATIENCE.read_back_s <= device.clock.now_s - began_s <= PATIENCE.read_back_s + 0.1
     with pytest.raises(NoAnswerError, match='measured currents of zero'):
         amplifier.connect()
     assert given_back(device)

@@ -11,7 +11,8 @@ from bench import _emulator as emulated
 from bench._emulator import FULL_SCALE_A, MEASURED
 from bench._virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.common.errors import InputError
-from microbot_ros.drive import coil_driver, polled
+from microbot_ros.common.patience import PATIENCE
+from microbot_ros.drive import coil_driver
 from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.coil_driver import STOPPED, CoilDriver
 from microbot_ros.drive.errors import NoAnswerError
@@ -298,8 +299,7 @@ def test_a_fault_of_the_device_ends_in_zero(make, fault, protocol):
 
 
 @pytest.mark.parametrize('protocol', ['roboteq', 'roboclaw', 'modbus', 'scpi'])
-def test_what_the_device_says_of_itself_is_a_fault(make, monkeypatch):
-    monkeypatch.setattr(polled, '_INSPECT_S', 0.02)
+def test_what_the_device_says_of_itself_is_a_fault(make):
     rig = make(self_check=True, feedback_timeout_s=30.0, settling_s=20.0)
     rig.arm()
     rig.device.fault('over_temperature')
@@ -582,9 +582,9 @@ def test_a_zero_that_nothing_reads_back_is_sent_and_not_confirmed(make):
 def test_what_was_known_before_says_nothing_of_a_zero_that_was_not_sent(rig):
     rig.until(lambda: rig.driver.zero is Zero.CONFIRMED)
     sent = threading.Event()  # a thread that hangs takes no request
-    assert rig.driver.await_zero(sent, 0.1) is Zero.UNREACHABLE
+    assert rig.driver.await_zero(sent) is Zero.UNREACHABLE
     sent.set()
-    assert rig.driver.await_zero(sent, 0.1) is Zero.CONFIRMED
+    assert rig.driver.await_zero(sent) is Zero.CONFIRMED
 
 
 def test_what_reads_nothing_back_is_never_confirmed():
@@ -598,7 +598,7 @@ def test_what_reads_nothing_back_is_never_confirmed():
     sent = rig.driver.request_zero()
     rig.until(sent.is_set)
     begin_s = rig.clock.now_s
-    assert rig.driver.await_zero(sent, 0.1) is Zero.SENT
+    assert rig.driver.await_zero(sent) is Zero.SENT
     assert rig.clock.now_s - begin_s < 0.003  # as nobody waits for what cannot come
 
 
@@ -643,15 +643,15 @@ def test_a_zero_is_awaited_until_it_is_confirmed_or_time_is_up(rig):
     rig.drive()
     begin_s = rig.clock.now_s
     sent = rig.driver.request_zero()
-    assert rig.driver.await_zero(sent, 0.1) is Zero.UNREACHABLE  # as nobody sends it
-    assert rig.clock.now_s - begin_s == pytest.approx(0.1)
+    assert rig.driver.await_zero(sent) is Zero.UNREACHABLE  # as nobody sends it
+    assert rig.clock.now_s - begin_s == pytest.approx(PATIENCE.read_back_s)
     rig.until(sent.is_set)
     begin_s = rig.clock.now_s
-    assert rig.driver.await_zero(sent, 0.1) is Zero.SENT  # as nobody reads it back
-    assert rig.clock.now_s - begin_s == pytest.approx(0.1, abs=0.003)
+    assert rig.driver.await_zero(sent) is Zero.SENT  # as nobody reads it back
+    assert rig.clock.now_s - begin_s == pytest.approx(PATIENCE.read_back_s, abs=0.003)
     rig.turn(0.1)
     begin_s = rig.clock.now_s
-    assert rig.driver.await_zero(sent, 0.1) is Zero.CONFIRMED
+    assert rig.driver.await_zero(sent) is Zero.CONFIRMED
     assert rig.clock.now_s - begin_s < 0.003
 
 

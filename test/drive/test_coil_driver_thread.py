@@ -7,7 +7,7 @@ import time
 import pytest
 
 from bench._emulator import until
-from microbot_ros.drive import coil_driver
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.drive.amplifier import Zero
 
 pytestmark = pytest.mark.rig
@@ -45,8 +45,8 @@ def test_the_thread_alone_writes(driver, device, monkeypatch):
     assert writers == {'coil driver'}
 
 
-def test_disarming_waits_until_it_was_done(driver, device, monkeypatch):
-    monkeypatch.setattr(coil_driver, '_DISARMING_S', 5.0)
+def test_disarming_waits_until_it_was_done(driver, device, monkeypatch, patience):
+    patience(disarming_s=5.0)
     drive(driver, device)
     request, held = driver._request, []
     monkeypatch.setattr(driver, '_request', held.append)
@@ -65,11 +65,11 @@ def test_disarming_does_not_wait_for_the_next_byte(driver, device):
     begin = time.monotonic()
     for _ in range(20):
         driver.disarm()
-    assert time.monotonic() - begin < 20 * coil_driver._DISARMING_S / 2
+    assert time.monotonic() - begin < 20 * PATIENCE.disarming_s / 2
 
 
-def test_a_check_without_an_answer_is_given_up(drivers, monkeypatch):
-    monkeypatch.setattr(coil_driver, '_ARMING_S', 0.2)
+def test_a_check_without_an_answer_is_given_up(drivers, patience):
+    patience(arming_s=0.2)
     driver = drivers(self_check=True)
     driver._go_on_checking = lambda *_: None
     until(lambda: driver.gate._measured_s > 0)

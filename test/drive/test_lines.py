@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bench._virtual import VirtualAmplifier
-from microbot_ros.drive.amplifier import READ_BACK_S, Amplifier, Zero
+from microbot_ros.common.patience import PATIENCE
+from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,
@@ -25,12 +26,6 @@ ADDRESSES = [('modbus', slave, 'mute') for slave in (1, 2, 3, 4)] + [
 
 each_line = pytest.mark.parametrize(('protocol', 'number', 'kind'), LINES)
 each = pytest.mark.parametrize(('protocol', 'number', 'kind'), LINES + ADDRESSES)
-
-
-@pytest.fixture(autouse=True)
-def unhurried(monkeypatch):
-    """What tests of other files are patient with: here no machine is late."""
-    monkeypatch.setattr(Amplifier, 'read_back_s', READ_BACK_S)
 
 
 class Rig(VirtualAmplifier):
@@ -152,7 +147,7 @@ def test_while_closing(rig, after_s):
     began_s = rig.clock.now_s
     zero = amplifier.close()
     assert not rig.others.any()
-    assert rig.clock.now_s - began_s <= (0.04 if rig.away else READ_BACK_S + 0.25)
+    assert rig.clock.now_s - began_s <= (0.04 if rig.away else PATIENCE.read_back_s + 0.25)
     assert not any(line.host for line in rig.lines)
     if after_s < 0.03:  # before the read-back
         rig.check_answer(amplifier, zero)
@@ -315,7 +310,7 @@ def test_many_silent_devices_do_not_hold_up_the_end():
     began_s = rig.clock.now_s
     assert amplifier.close() is Zero.SENT
     # The outputs are switched off one after the other, each with two attempts.
-    longest_s = READ_BACK_S + 0.1 + 16 * 2 * amplifier.reply_s
+    longest_s = PATIENCE.read_back_s + 0.1 + 16 * 2 * amplifier.reply_s
     assert rig.clock.now_s - began_s <= longest_s
 
 

@@ -96,8 +96,8 @@ def test_the_sentinel_has_a_session_of_its_own_and_is_as_quick_as_the_watchdogs_
     assert last_resort._FEED_S <= last_resort._SILENCE_S / 4  # three that are lost are no end
 
 
-def test_a_sentinel_that_hangs_holds_nobody_up(monkeypatch):
-    monkeypatch.setattr(last_resort, '_LEAVE_S', 0.05)
+def test_a_sentinel_that_hangs_holds_nobody_up(monkeypatch, patience):
+    patience(sentinel_s=0.05)
     monkeypatch.setattr(last_resort, '_FEED_S', 0.0)
     last = last_resort.LastResort([])
     os.kill(last._process.pid, signal.SIGSTOP)

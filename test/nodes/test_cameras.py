@@ -65,10 +65,10 @@ def show(number: int, image: np.ndarray | None = None, late: float = 0.0) -> Non
 
 
 @pytest.fixture
-def bench(ros: Any, monkeypatch: Any) -> Any:
+def bench(ros: Any, monkeypatch: Any, patience: Any) -> Any:
     """A graph with a camera node on a camera of the test's own."""
     monkeypatch.setattr(camera_node, 'camera_class', lambda _: Bench)
-    monkeypatch.setattr(camera_node, '_RETRY_SECONDS', 0.01)
+    patience(reopen_s=0.01)
     Bench.frames, Bench.opened, Bench.gone = deque(), 0, False
     Bench.news = threading.Event()
     graph = ros({'camera': {'source': 'bench', 'camera': 'bench'}})

@@ -20,7 +20,6 @@ from microbot_ros.common.errors import RigError
 from microbot_ros.common.records import Session
 from microbot_ros.discovery.driven.plan import Plan
 from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.nodes.client import driven_rig
 from microbot_ros.nodes.client.driven_rig import DrivenRig
 from microbot_ros.nodes.client.graph_client import GraphClient
 
@@ -128,9 +127,9 @@ def _told(_: Stand, rig: DrivenRig) -> None:
     (_operator, 'an operator let'), (_disarmed, 'the gate is disarmed'),
     (_gone, 'no particle has been seen'), (_dark, 'seen'), (_told, 'a stop was requested')])
 def test_what_goes_wrong_stops_the_plan_and_leaves_the_rig_at_rest(
-        stand: Stand, client: GraphClient, monkeypatch: pytest.MonkeyPatch,
+        stand: Stand, client: GraphClient, patience: Callable[..., None],
         go_wrong: Callable[..., None], reason: str) -> None:
-    monkeypatch.setattr(driven_rig, 'UNSEEN', 1.5)
+    patience(unseen_s=1.5)
     kept: list[Session] = []
     with DrivenRig(client, kept.append) as rig:
         thread = stand.when_driven(lambda: go_wrong(stand, rig))
@@ -164,8 +163,8 @@ def test_nothing_is_driven_without_an_armed_gate(stand: Stand) -> None:
 
 
 def test_nothing_is_driven_that_is_not_seen(
-        stand: Stand, client: GraphClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(driven_rig, '_HEARD', 3.0)
+        stand: Stand, client: GraphClient, patience: Callable[..., None]) -> None:
+    patience(state_s=3.0)
     stand.rig.gone = True
     with pytest.raises(RigError, match='no particle was seen for 3 s'), DrivenRig(client, print):
         pass

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -145,8 +146,8 @@ def test_who_comes_before_anybody_else_misses_nothing(ros: Any, session: Path) -
 
 
 def test_it_is_played_to_nobody_in_the_end(
-        ros: Any, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('microbot_ros.nodes.player._NOBODY_SECONDS', 0.2)
+        ros: Any, session: Path, patience: Callable[..., None]) -> None:
+    patience(listeners_s=0.2)
     node = (graph := ros({'player': {'session': str(session), 'rate': 0.0}})).add('player')
     graph.until(lambda: node.finished)
     assert node.health()[2] == {'messages_sent': 720}

@@ -13,6 +13,7 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 
 from microbot_ros.common.errors import InputError, RigError
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.common.records import Commands, Session
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.design import Range
@@ -23,13 +24,6 @@ from microbot_ros.nodes.client.live_session_buffer import LiveSessionBuffer
 
 CONTROLLER, AT_REST = 'experiment', 'hold'
 """Controller that drives, and controller that is active afterwards."""
-
-UNSEEN = 3.0
-"""Time [s] without a particle, or without a message of the controller, that ends an experiment.
-Choice: a particle that is lost for less is usually found again."""
-
-_HEARD = 5.0
-"""Time [s] in which a rig must report its state. Choice: five reports at 1 Hz."""
 
 _LONGEST = 600.0
 """Longest experiment that is kept [s]. Choice: bounds the memory; a longer experiment loses its
@@ -82,14 +76,15 @@ class DrivenRig:
                      (min(1.0, most), min(20.0, most)) if rolling else None)
 
     def __enter__(self) -> DrivenRig:
-        if not self._client.until(lambda: self._armed is not None, _HEARD):
+        if not self._client.until(lambda: self._armed is not None, PATIENCE.state_s):
             raise RigError('coil_driver does not report its gate: is it running?')
         if not self._armed:
             raise RigError('the gate is not armed; run: microbot arm')
-        if not self._client.until(lambda: self._seen > 0, _HEARD):
-            raise RigError(f'no particle was seen for {_HEARD:g} s')
+        if not self._client.until(lambda: self._seen > 0, PATIENCE.state_s):
+            raise RigError(f'no particle was seen for {PATIENCE.state_s:g} s')
         self._client.set('controller', controller=CONTROLLER)
-        if not self._client.until(lambda: self._said.get('controller') == CONTROLLER, _HEARD):
+        if not self._client.until(
+                lambda: self._said.get('controller') == CONTROLLER, PATIENCE.state_s):
             raise RigError(f'the controller did not report that {CONTROLLER} is active')
         return self
 
@@ -173,10 +168,10 @@ class DrivenRig:
             return 'a stop was requested'
         if self._said.get('result') == 'fault':
             return 'the controller has a fault'
-        if math.isfinite(self._seen) and now - self._seen > UNSEEN:
-            return f'no particle has been seen for {UNSEEN:g} s'
-        if math.isfinite(self._heard) and now - self._heard > UNSEEN:
-            return f'the controller published nothing for {UNSEEN:g} s'
+        if math.isfinite(self._seen) and now - self._seen > PATIENCE.unseen_s:
+            return f'no particle has been seen for {PATIENCE.unseen_s:g} s'
+        if math.isfinite(self._heard) and now - self._heard > PATIENCE.unseen_s:
+            return f'the controller published nothing for {PATIENCE.unseen_s:g} s'
         return ''
 
     def _recorded(self) -> Session:

@@ -19,6 +19,7 @@ from std_srvs.srv import SetBool
 
 from microbot_ros.cockpit.rig import Answer, RefusedError
 from microbot_ros.common.errors import InputError, RigError
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import LATCHED, NEWEST, RigNode
 from microbot_ros.nodes.base.topics import CHANGES
@@ -322,7 +323,7 @@ class OperatedRig(RigView):
         if on and not self._is_recording():
             await self._perform(self._client.set('recorder', title=title, notes=''))
         said = await self._perform(self._client.record(on))
-        deadline = time.monotonic() + rig_client.TAKE_S  # so that a note that follows is accepted
+        deadline = time.monotonic() + PATIENCE.take_s  # so that a note that follows is accepted
         while self._is_recording() != on and time.monotonic() < deadline:
             await asyncio.sleep(_LOOK_S)
         return said

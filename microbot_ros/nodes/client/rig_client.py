@@ -24,27 +24,16 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
 from microbot_ros.common.errors import InputError, RigError
+from microbot_ros.common.patience import PATIENCE
 from microbot_ros.common.records import Commands
 from microbot_ros.control.controller_thread import AGAIN, CONFIGURING
 from microbot_ros.drive.amplifier import BY_HAND, Zero
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes.base import messages
 
-FIND_S = 5.0
-"""Time [s] in which a node must be discovered. Choice: a message to a process that has just
-started may be lost and is repeated after 0.5 s, so ten attempts fit."""
-ASK_S = (3.0, 3.0, 3.0, 3.0)
-"""Times [s] after which a request without answer is sent again. Choice: longer than any service
-takes for its work. After the last the service counts as silent."""
-ARM_S = (12.0,)
-"""Time [s] for the only request to arm: a second one could arm after a STOP in between. Choice:
-longer than the driver's own limit of 10 s."""
-STOP_S = (0.3, 0.7, 1.0, 1.0)
-"""Times [s] after which a request to stop is repeated. Choice: the driver sends zero when it
-receives a request, and answers once that is read back, within `READ_BACK_S`."""
-TAKE_S, REPEAT_S = 5.0, 0.3
-"""Time [s] in which a controller must accept goals, a path or a plan, and interval at which they
-are sent. Choice: a controller reports five times a second."""
+REPEAT_S = 0.3
+"""Interval [s] at which goals, a path or a plan are sent until they are accepted. Choice: a
+controller reports five times a second."""
 MATCH_S = 2.0
 """Time [s] for all listeners to be connected. Choice: discovery takes less; a listener that is
 later misses one message."""
@@ -145,7 +134,7 @@ class RigClient:
             If the driver is missing, silent or refuses.
         """
         try:
-            return (yield from self._set_gate(True, 0.0 if now else FIND_S))
+            return (yield from self._set_gate(True, 0.0 if now else PATIENCE.find_s))
         except NoAnswerError as silence:
             try:
                 disarmed = f'disarmed: {(yield from self.stop(now=True))}'
@@ -174,7 +163,7 @@ class RigClient:
             If the driver is missing, silent or refuses.
         """
         try:
-            return (yield from self._set_gate(False, None if now else FIND_S))
+            return (yield from self._set_gate(False, None if now else PATIENCE.find_s))
         except NoAnswerError as silence:
             raise RigError(f'{Zero.UNREACHABLE}: {silence}; coils may carry current, {BY_HAND}'
                            ) from None
@@ -242,8 +231,8 @@ class RigClient:
         def answered() -> bool:
             return self.taught is not before and asked == {
                 entry.key: entry.value for entry in self.taught.values}
-        if not (yield answered, sum(ASK_S)):
-            raise NoAnswerError(f'tracker did not answer within {sum(ASK_S):g} s')
+        if not (yield answered, sum(PATIENCE.ask_s)):
+            raise NoAnswerError(f'tracker did not answer within {sum(PATIENCE.ask_s):g} s')
         if self.taught.level != DiagnosticStatus.OK:
             raise RefusedError('tracker', self.taught.message)
         return str(self.taught.message)
@@ -275,7 +264,7 @@ class RigClient:
         except (TypeError, ValueError, AssertionError):
             raise InputError(node, 'expected booleans, numbers, texts or lists of one of them; '
                                    f'received {values}') from None
-        deadline = time.monotonic() + CONFIGURING + sum(ASK_S)
+        deadline = time.monotonic() + CONFIGURING + sum(PATIENCE.ask_s)
         while True:
             answer, _ = yield from self._ask(SetParameters, f'{node}/set_parameters', request)
             going_on = any(result.reason.endswith(AGAIN) for result in answer.results)
@@ -414,7 +403,7 @@ class RigClient:
         def says(*keys: str) -> bool:
             return any(float(self.progress.get(key, 'nan')) == stamp for key in keys)
         yield from self._find('controller', lambda: self._controller_listens(topic),
-                              f'takes no {topic}', FIND_S)
+                              f'takes no {topic}', PATIENCE.find_s)
         publisher = self.publishers.get(topic)
         if publisher is None:
             publisher = self.publishers[topic] = self._node.create_publisher(
@@ -422,13 +411,13 @@ class RigClient:
         # For recorders too: a subscriber misses messages from before it is matched.
         yield (lambda: publisher.get_subscription_count() >= len(
             self._node.get_subscriptions_info_by_topic(topic))), MATCH_S
-        deadline = time.monotonic() + TAKE_S
+        deadline = time.monotonic() + PATIENCE.take_s
         while not says(took, refused):
             if time.monotonic() > deadline:
                 answer = ('it answers, but not for these' if self._progress_s > began else
                           'it publishes nothing; is it active?')
-                raise RigError(f'controller did not accept the {what} within {TAKE_S:g} s: '
-                               f'{answer}')
+                raise RigError(f'controller did not accept the {what} within '
+                               f'{PATIENCE.take_s:g} s: {answer}')
             publisher.publish(message)
             yield (lambda: says(took, refused)), REPEAT_S
         if says(took):
@@ -459,7 +448,7 @@ class RigClient:
             yield from self._find('coil_driver', service.service_is_ready,
                                   'has no service coil_driver/arm', find_s)
         answer, _ = yield from self._send('coil_driver', service, SetBool.Request(data=armed),
-                                          ARM_S if armed else STOP_S)
+                                          PATIENCE.arm_s if armed else PATIENCE.stop_s)
         return _done('coil_driver', answer)
 
     def _service(self, kind: type, name: str) -> Client:
@@ -474,8 +463,9 @@ class RigClient:
             service = self._service(kind, name)
         except NameValidationException:
             raise InputError('', f"expected the name of a node; received '{node}'") from None
-        yield from self._find(node, service.service_is_ready, f'has no service {name}', FIND_S)
-        return (yield from self._send(node, service, request, ASK_S))
+        yield from self._find(
+            node, service.service_is_ready, f'has no service {name}', PATIENCE.find_s)
+        return (yield from self._send(node, service, request, PATIENCE.ask_s))
 
     def _send(self, node: str, service: Client, request: Any, again_s: Sequence[float],
               ) -> Steps[tuple[Any, bool]]:
