@@ -23,6 +23,12 @@ _HEAD_START_S = 0.1
 Its clean-up may hold the interpreter for as long as the middleware takes to shut down.
 """
 
+_LOOK_S = 0.1
+"""Interval [s] at which the launcher is looked for where the system cannot tell of its end.
+
+Choice: as long as coils outlive a node that was killed.
+"""
+
 
 class Stopped(BaseException):
     """A signal of this `number` asked the process to end.
@@ -141,16 +147,29 @@ class Ending:
     def _watch(self) -> None:
         """Wait, in a thread, for a signal or for the end of the launcher."""
         set_realtime_priority()
-        awaited = [self._reader]
         try:
-            if self._launcher is not None:
+            self._await_end()
+        finally:  # a failure is an end, too
+            if not self._over:
+                self.due = True
+                self._at_once()
+                self._done_at_once.set()
+
+    def _await_end(self) -> None:
+        awaited, look_s = [self._reader], None
+        if self._launcher is not None:
+            try:
                 awaited.append(os.pidfd_open(self._launcher))
-            select.select(awaited, [], [])
-        except ProcessLookupError:
-            pass  # the launcher had already ended
-        if not self._over:
-            self.due = True
-            self._at_once()
-            self._done_at_once.set()
+            except ProcessLookupError:
+                return  # the launcher had already ended
+            except OSError:  # an old kernel, a sandbox, or no descriptor left
+                look_s = _LOOK_S
+        while not select.select(awaited, [], [], look_s)[0]:
+            try:
+                os.kill(self._launcher or 0, 0)
+            except ProcessLookupError:
+                return
+            except OSError:
+                continue  # a process of somebody else
         for process in awaited[1:]:
             os.close(process)

@@ -7,6 +7,7 @@ Four coils in the plane are in the order +Y, +X, −Y, −X. A driver changes cu
 from __future__ import annotations
 
 import functools
+import math
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
@@ -232,7 +233,8 @@ class Amplifier(ABC):
         self._unacknowledged: deque[Command] = deque(maxlen=64)
         self._last: Command | None = None
         self._sent_s = 0.0
-        self._shown = False  # whether the newest reading shows no current
+        self._shown = False  # whether the newest reading of after the zero shows no current
+        self._zeroed_s = math.inf  # when the zero was first sent that is in force
         self._lines: list[Port] = []
         self._woken = threading.Event()
         self._adapters: dict[str, Adapter] = {}
@@ -258,14 +260,14 @@ class Amplifier(ABC):
         if self._lines:
             self.close()
         self._unacknowledged.clear()
-        self._last, self._shown = None, False
+        self._last, self._shown, self._zeroed_s = None, False, math.inf
         self.fault, self.unreachable = '', ()
         try:
             with self._noting():
                 self._open()
-                self.zero()
+                zero = self.zero()
                 if self.reads_back:
-                    self._await_zero()
+                    self._await(zero)
         except BaseException as error:
             try:
                 self._abort(error)
@@ -311,7 +313,10 @@ class Amplifier(ABC):
                 f'received {currents_A}')
         command = Command(self.clock.now(), currents, tag, swing)
         self._unacknowledged.append(command)
-        self._shown = self._shown and not np.any(largest)
+        if np.any(largest):
+            self._shown, self._zeroed_s = False, math.inf
+        else:
+            self._zeroed_s = min(self._zeroed_s, command.t_monotonic_s)
         self._last, self._sent_s = command, command.t_monotonic_s
         with self._noting():
             self._send(command)
@@ -351,7 +356,9 @@ class Amplifier(ABC):
         with self._noting():
             readings = [self._reading(*measured) for measured in self._receive(timeout_s)]
             if readings:
-                self._shown = self.shows_zero(readings[-1].currents_A)
+                last = readings[-1]
+                self._shown = self.shows_zero(last.currents_A) and (
+                    self._shown or last.since_s - self.report_age_s >= self._zeroed_s)
             self._insist()
         return readings
 
@@ -425,9 +432,9 @@ class Amplifier(ABC):
     def _end(self) -> Zero:
         """Zero, read back and disable; return the worst state of any coil."""
         try:
-            self.zero()
+            zero = self.zero()
             if self.reads_back:
-                self._await_zero()
+                self._await(zero)
                 return Zero.CONFIRMED
         except UnreachableError:
             return Zero.UNREACHABLE
@@ -441,11 +448,19 @@ class Amplifier(ABC):
             with suppress(AmplifierError):
                 self.zero()
 
-    def _await_zero(self) -> None:
-        deadline = self.clock.now() + PATIENCE.read_back_s
+    def _await(self, zero: Command) -> None:
+        """Wait for a reading that was taken after a zero was sent, and shows it.
+
+        What waits on the line may be older than its arrival here tells.
+        """
+        deadline, drained_s = self.clock.now() + PATIENCE.read_back_s, -math.inf
         while (left := deadline - self.clock.now()) > 0:
-            if any(self.shows_zero(reading.currents_A)
-                   for reading in self.poll(min(left, AGAIN_S))):
+            readings = self.poll(0.0)
+            if not readings:
+                drained_s = self.clock.now()
+                readings = self.poll(min(left, AGAIN_S))
+            if any(min(reading.since_s, drained_s) - self.report_age_s >= zero.t_monotonic_s
+                   and self.shows_zero(reading.currents_A) for reading in readings):
                 return
         raise NoAnswerError(
             self.url, f'measured currents of zero within {PATIENCE.read_back_s:g} s')

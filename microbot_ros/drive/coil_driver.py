@@ -249,8 +249,9 @@ class CoilDriver:
 
         CONFIRMED as long as readings taken after the zero continue to show none.
         """
-        if not self.connected:
-            return self._left
+        if not self.connected:  # what was seen at the end is not seen any more
+            unknown = self.amplifier.unreachable or self._left is Zero.UNREACHABLE
+            return Zero.UNREACHABLE if unknown else Zero.SENT
         since_s = self._zero_since_s
         if since_s is None:
             return None
@@ -459,6 +460,8 @@ class CoilDriver:
     def _finish(self) -> None:
         self.gate.revoke()
         self._answer_arming('the coil driver stopped')
+        if not self.connected:
+            self._left = self.zero or Zero.SENT
         self._disconnect()
 
     def _serve(self) -> None:
@@ -492,6 +495,7 @@ class CoilDriver:
             self.gate.trip(Reason.INTERNAL, 'the sentinel process ended')
             self._write()
             self._last_resort.abandon()
+            self._last_resort = None
             self._start_last_resort()
         for reading in readings:
             self._tell(reading, now)
@@ -590,7 +594,7 @@ class CoilDriver:
 
     def _judge(self, reading: Reading, now: float, since_s: float) -> None:
         currents: list[float] = reading.currents_A.tolist()
-        self._look_for_zero(reading)
+        self._look_for_zero(reading, since_s)
         if self._check is not None:
             # Before the gate, which would trip at the same current without naming the coil.
             self._check.measured(currents, now, since_s)
@@ -600,13 +604,13 @@ class CoilDriver:
                 self.gate.command(self._check.wanted, now)
         self.gate.measured(currents, now, since_s)
 
-    def _look_for_zero(self, reading: Reading) -> None:
-        """Note whether a reading taken after the zero shows it.
+    def _look_for_zero(self, reading: Reading, since_s: float) -> None:
+        """Note whether a reading, taken at `since_s` or later, is of after the zero and shows it.
 
         A reading that does not show it revokes earlier ones.
         """
         if (self._zero_since_s is not None
-                and reading.since_s - self.amplifier.report_age_s >= self._zero_since_s):
+                and since_s - self.amplifier.report_age_s >= self._zero_since_s):
             seen = self.amplifier.shows_zero(reading.currents_A)
             self._zero_seen_s = reading.t_monotonic_s if seen else -math.inf
 

@@ -87,8 +87,13 @@ class HeatRecord:
         content = {'heat': heat, 'wall_s': time.time(), 'boot_id': _boot_id(),
                    'boot_s': time.clock_gettime(time.CLOCK_BOOTTIME)}
         draft = self.path.with_suffix('.tmp')
-        draft.write_text(json.dumps(content))
-        draft.replace(self.path)
+        try:
+            draft.write_text(json.dumps(content))
+            draft.replace(self.path)
+        except OSError:
+            with suppress(OSError):  # what is there is too cold; an empty file counts as the most
+                self.path.write_bytes(b'')
+            raise
 
     def forget_old(self) -> None:
         """Remove files of any amplifier that were not written for a day."""

@@ -64,6 +64,7 @@ class LastResort:
     def dismiss(self) -> None:
         """End the sentinel without a zero: every line that it holds is confirmed to be at zero."""
         self._say(b'q')
+        self._forget()
         self._end()
 
     def abandon(self) -> None:
@@ -72,7 +73,11 @@ class LastResort:
         The sentinel zeroes all lines repeatedly for 0.2 s and ends. A sentinel that hangs is
         killed.
         """
+        self._forget()
         threading.Thread(target=self._end, daemon=True).start()
+
+    def _forget(self) -> None:
+        self._feed = -1  # another file may get its number
 
     def _end(self) -> None:
         self._pipe.close()

@@ -393,7 +393,7 @@ class PolledAmplifier(Amplifier):
                 yield None
             else:
                 found = yield from self._talk_to(self.devices, self._inspect)
-                self.fault = _joined(found)
+                self.fault = _joined(self._require(found))
                 self._inspection_s = self.clock.now() + _INSPECT_S
 
     # Carrying out talks -------------------------------------------------------------------------

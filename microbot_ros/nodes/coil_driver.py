@@ -317,15 +317,18 @@ class CoilDriverNode(RigNode):
     def _commanders(self) -> tuple[list[str], set[bytes]]:
         """Return the full names of the nodes that publish commands, and their endpoints.
 
-        A name is listed as often as it publishes the same topic: a node that was killed and its
-        successor are two.
+        A name is listed as often as it publishes the same topic, and as there are processes of
+        that name: a node that was killed and its successor are two.
         """
-        names, endpoints = Counter[str](), set[bytes]()
+        names, publishers = Counter[str](), set[tuple[str, bytes]]()
         for topic in ('field/command', 'field/rotating'):
-            found = self.get_publishers_info_by_topic(topic)
-            names |= Counter(f'{one.node_namespace.rstrip("/")}/{one.node_name}' for one in found)
-            endpoints |= {bytes(one.endpoint_gid) for one in found}
-        return sorted(names.elements()), endpoints
+            found = [(f'{one.node_namespace.rstrip("/")}/{one.node_name}', bytes(one.endpoint_gid))
+                     for one in self.get_publishers_info_by_topic(topic)]
+            names |= Counter(name for name, _ in found)
+            publishers |= {*found}
+        # The first 12 bytes name the participant (RTPS 2.5, GUID_t), of which a process has one.
+        names |= Counter(name for name, _ in {(name, gid[:12]) for name, gid in publishers})
+        return sorted(names.elements()), {gid for _, gid in publishers}
 
     def _on_commanders(self, _: Any) -> None:
         """Zero if the commander has changed since arming."""

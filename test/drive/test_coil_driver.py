@@ -613,8 +613,72 @@ def test_a_reading_from_before_the_zero_does_not_confirm_it(rig):
             (0.04, ZERO, Zero.CONFIRMED)):
         rig.clock.now_s = since_s + after_s
         driver._look_for_zero(amplifier._reading(
-            since_s + after_s, since_s + after_s, np.array(currents)))
+            since_s + after_s, since_s + after_s, np.array(currents)), since_s + after_s)
         assert driver.zero is zero
+
+
+@pytest.mark.parametrize('protocol', ['roboclaw', 'roboteq', 'modbus', 'scpi'])
+@pytest.mark.parametrize('later', ['unplugged', 'stuck'])
+def test_what_was_seen_when_a_line_was_given_up_is_not_seen_any_more(make, later):
+    rig = make(command_timeout_s=0.3)
+    rig.device.fault('silence+0.6')
+    rig.until(lambda: not rig.driver.connected)
+    assert rig.driver.zero is not Zero.CONFIRMED
+    rig.device.mend()
+    if later == 'unplugged':
+        rig.device.fault('unplug')
+    else:  # a bridge that conducts whatever it is told
+        rig.device.coils._settle = lambda _: None
+        rig.device.coils.currents_A = (1.0,) * rig.device.coils.channels
+    rig.turn(2.0)
+    assert not rig.driver.connected
+    assert rig.driver.zero is (Zero.UNREACHABLE if later == 'unplugged' else Zero.SENT)
+    assert rig.stop() is rig.driver.zero
+
+
+@pytest.mark.parametrize(('late_ms', 'after_s'), [(0, 0.0), (5, 0.005), (16, 0.005), (20, 0.01)])
+def test_a_report_from_before_the_zero_ends_no_session(late_ms, after_s):
+    """One zero is damaged on its way; nothing watches the board."""
+    rig = Rig(watchdog_s=None)
+    rig.connect()
+    if late_ms:
+        rig.device.fault(f'delay={late_ms}')
+    rig.turn(0.3)
+    rig.arm()
+    rig.turn(0.05)
+    rig.driver.command((1.0, 0.0, 0.0, 0.0))
+    rig.until(lambda: any(rig.gate.output))
+    rig.turn(after_s)
+    receive, damaged = rig.device.device.receive, [True]
+
+    def receive_damaged(port, data, now):
+        spoiled = damaged and damaged.pop()
+        return receive(port, bytes(one ^ 1 for one in data) if spoiled else data, now)
+    rig.device.device.receive = receive_damaged
+    assert rig.stop() is Zero.CONFIRMED
+    rig.clock.sleep(2.0)
+    assert rig.device.flows(ZERO)
+
+
+def test_a_report_over_a_network_may_be_older():
+    amplifier = amplifier_class('serial_transfer')
+    assert amplifier('socket://rig:4000', 2.0).report_age_s >= 0.2
+    assert amplifier('/dev/ttyACM0', 2.0).report_age_s < 0.05
+
+
+@pytest.mark.parametrize('armed', [True, False])
+@pytest.mark.parametrize('away_ms', [1, 20, 40, 80])
+def test_a_board_that_lost_its_watchdog_in_a_reset_gets_it_again(armed, away_ms):
+    rig = Rig('roboclaw')
+    rig.connect()
+    rig.turn(0.5)
+    if armed:
+        rig.drive((1.0,) * 4)
+    rig.device.fault(f'reset={away_ms}')
+    rig.turn(0.7)
+    assert rig.device.coils.watchdog_s == 0.1
+    if armed:
+        assert not rig.gate.armed
 
 
 def test_current_that_stays_is_no_zero_and_outranks_what_stopped_it(make):

@@ -1,5 +1,6 @@
 """The heat of the coils over a restart of the driver."""
 
+import errno
 import json
 import math
 import os
@@ -68,6 +69,20 @@ def test_what_cannot_be_believed_is_as_hot_as_the_gate_allows(record, changes):
 def test_so_is_a_file_that_is_none(record, content):
     record.path.parent.mkdir(parents=True)
     record.path.write_text(content)
+    assert record.load() == (1.0, 1.0)
+
+
+@pytest.mark.parametrize('known', [True, False])
+def test_so_is_one_that_could_not_be_written(record, monkeypatch, known):
+    if known:
+        record.save((0.0, 0.0))
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, 'No space left on device')
+    record.path.parent.mkdir(parents=True, exist_ok=True)
+    monkeypatch.setattr(heat.Path, 'write_text', full)
+    with pytest.raises(OSError, match='No space'):
+        record.save((0.9, 0.9))
     assert record.load() == (1.0, 1.0)
 
 

@@ -91,8 +91,9 @@ def measuring(first: bytes, second: bytes) -> list[tuple[str, bytes, bytes]]:
 
 
 def inspecting(first: str, second: str) -> list[tuple[str, bytes, bytes]]:
-    return [('line', *answer('80 52', bytes.fromhex(first))),
-            ('line', *answer('81 52', bytes.fromhex(second)))]
+    return [('line', *answer(f'{address} {question}', bytes.fromhex(found)))
+            for address, temperature in (('80', first), ('81', second))
+            for question, found in (('0f', '01'), ('52', temperature))]
 
 
 AT_ONCE = ('line', packet('80 22 0000 0000') + packet('81 22 0000 0000'), b'')

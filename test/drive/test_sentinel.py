@@ -96,6 +96,21 @@ def test_the_sentinel_has_a_session_of_its_own_and_is_as_quick_as_the_watchdogs_
     assert last_resort._FEED_S <= last_resort._SILENCE_S / 4  # three that are lost are no end
 
 
+def test_nothing_is_written_to_what_was_the_pipe_of_a_sentinel(tmp_path):
+    last = last_resort.LastResort([])
+    number = last._feed
+    last.abandon()
+    last._process.wait(8.0)
+    until(lambda: last._pipe.closed)
+    with (tmp_path / 'other').open('wb') as other:
+        os.dup2(other.fileno(), number)  # another file that got the number
+        try:
+            assert not last._say(b'.')
+        finally:
+            os.close(number) if number != other.fileno() else None
+    assert (tmp_path / 'other').read_bytes() == b''
+
+
 def test_a_sentinel_that_hangs_holds_nobody_up(monkeypatch, patience):
     patience(sentinel_s=0.05)
     monkeypatch.setattr(last_resort, '_FEED_S', 0.0)

@@ -13,7 +13,7 @@ import numpy as np
 
 from microbot_ros.drive.amplifier import Watchdog
 from microbot_ros.drive.amplifiers.roboclaw import codec
-from microbot_ros.drive.errors import WrongDeviceError
+from microbot_ros.drive.errors import NoAnswerError, WrongDeviceError
 from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 
 ADDRESSES = range(0x80, 0x88)
@@ -50,8 +50,7 @@ class RoboclawAmplifier(PolledAmplifier):
         address = ADDRESSES[device]
         yield self._obeyed(codec.drive(address, 0.0, 0.0))
         yield self._obeyed(codec.set_timeout(address, _WATCHDOG_S))
-        question = codec.ask(address, codec.GET_TIMEOUT)
-        armed = yield self._query(question, codec.timeout, 'its timeout')
+        armed = yield self._timeout(address)
         if not abs(armed - _WATCHDOG_S) < 1e-6:
             raise WrongDeviceError(self.url, f'a timeout of {_WATCHDOG_S:g} s', f'{armed:g} s')
 
@@ -65,12 +64,19 @@ class RoboclawAmplifier(PolledAmplifier):
 
     def _inspect(self, device: int) -> Talk[str]:
         address = ADDRESSES[device]
+        armed = yield self._timeout(address)
+        if not abs(armed - _WATCHDOG_S) < 1e-6:  # it was reset: connecting arms it again
+            raise NoAnswerError(self.url, f'a timeout of {_WATCHDOG_S:g} s at {address:#x} '
+                                          f'(it has {armed:g} s: it was reset)')
         question = codec.ask(address, codec.GET_TEMPERATURE)
         found = yield self._query(question, codec.temperature, 'a temperature')
         if not found <= _HOTTEST_C:
             return (f'controller {address:#x} is too hot: {found:.1f} °C, '
                     f'at most {_HOTTEST_C:g}')
         return ''
+
+    def _timeout(self, address: int) -> Exchange:
+        return self._query(codec.ask(address, codec.GET_TIMEOUT), codec.timeout, 'its timeout')
 
     def _zeros(self) -> list[bytes]:
         return [b''.join(codec.drive(ADDRESSES[device], 0.0, 0.0) for device in self.devices)]

@@ -52,6 +52,8 @@ class SerialTransferAmplifier(Amplifier):
     """Longest age of a report [s]: a packet on the line (1 ms), the delay of a USB adapter (16 ms
     by default), and room for a busy machine. A board reports unasked, with the values of that
     time."""
+    network_age_s = 0.25
+    """The same where the port is a URL. Choice: a hundred milliseconds each way, and room."""
     can_swing = True
 
     most_channels = codec.COILS
@@ -60,6 +62,8 @@ class SerialTransferAmplifier(Amplifier):
                  channels: int = len(COILS), *, baud: int = 500_000, boot_s: float = 3.0) -> None:
         super().__init__(url, full_scale_A, channels)
         self._baud = baud
+        if '://' in url:
+            self.report_age_s = self.network_age_s
         self.sample_s = max(self.sample_s, _ROOM * _BITS * _PACKET_BYTES / baud)
         self._boot_s = boot_s
         self._decoder = codec.Decoder(codec.MEASUREMENT_BYTES)
