@@ -251,6 +251,27 @@ def test_a_second_commander_trips_and_both_are_named(emulator: Any, ros: Any) ->
     graph.until(lambda: _arm(graph).success)
 
 
+def test_two_processes_are_two_commanders_whatever_their_names_and_topics(
+        emulator: Any, ros: Any, monkeypatch: Any) -> None:
+    driver = _start(emulator, ros).nodes['coil_driver']
+
+    def told(*found: tuple[str, str, int, int]) -> tuple[list[str], int]:
+        def publishers(topic: str) -> list[SimpleNamespace]:
+            return [SimpleNamespace(
+                node_namespace='/', node_name=name,
+                endpoint_gid=[process] * 12 + [0, 0, number, 3])
+                for on, name, process, number in found if on == topic]
+        monkeypatch.setattr(driver, 'get_publishers_info_by_topic', publishers)
+        names, endpoints = driver._commanders()
+        return names, len(endpoints)
+    one, both = ('field/command', 'a', 1, 1), ('field/rotating', 'a', 1, 2)
+    assert told(one) == (['/a'], 1)
+    assert told(one, both) == (['/a'], 2)
+    assert told(one, ('field/rotating', 'a', 2, 2)) == (['/a', '/a'], 2)
+    assert told(one, ('field/command', 'a', 1, 2)) == (['/a', '/a'], 2)
+    assert told(one, ('field/rotating', 'b', 1, 2)) == (['/a', '/b'], 2)
+
+
 def test_who_commands_matters_only_while_armed_and_where_there_is_one(
         emulator: Any, ros: Any, monkeypatch: Any) -> None:
     graph, asked = _start(emulator, ros), []
