@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange, json_option, plausible_number
+from microbot_ros.cli.options import FiniteFloatRange, force_option, json_option, plausible_number
 from microbot_ros.common.errors import InputError
 
 if TYPE_CHECKING:
     from microbot_ros.session.spreadsheets.sheets import Answers
 
+_MADE = ('tracks.csv', 'commands.csv', 'session.yaml')
 _ROLES = ('time, frame, particle, x, y, theta, direction, frequency, bx, by, speed, vx, vy, tilt, '
           'cone, gradient, sound')
 
@@ -66,8 +67,9 @@ def answer_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option('--out', type=click.Path(path_type=Path), required=True,
               help='Folder of the session to write.')
 @answer_options
+@force_option
 @json_option('Write findings and assumptions as JSON to this file.')
-def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> None:
+def command(source: Path, out: Path, force: bool, json_path: Path | None, **given: Any) -> None:
     """Convert SOURCE into a session: a spreadsheet, a delimited text file, or a folder of them.
 
     It recognises robots beside each other, below each other, or on separate sheets; times that are
@@ -84,11 +86,15 @@ def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> No
     """
     from rich.console import Console
 
-    from microbot_ros.common.files import write_json
+    from microbot_ros.common.files import refuse_to_overwrite, write_json
     from microbot_ros.common.units import exact_display
     from microbot_ros.session import write_session
     from microbot_ros.session.spreadsheets.assemble import import_session
 
+    own = [source] if source.is_file() else [source / name for name in _MADE]
+    if {one.resolve() for one in own} & {(out / name).resolve() for name in _MADE}:
+        raise InputError(out, 'expected another folder than that of the tables, which are kept')
+    refuse_to_overwrite(out, _MADE, force)
     with Console(stderr=True).status(f'reading {source}'):
         session, said = import_session(source, answers(**given))
         write_session(out, session)

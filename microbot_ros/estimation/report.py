@@ -49,7 +49,8 @@ def as_json(fit: FitResult) -> dict[str, Any]:
     for n, name in enumerate(fit.ids):
         particles[str(name)] = {
             key: _number(key, speeds.speed[n], speeds.speed_std[n]),
-            'phi_rad': _number('phi_rad', speeds.phi[n], speeds.phi_std[n]),
+            'phi_rad': _number(
+                'phi_rad', _seen(speeds.phi[n], speeds.phi_std[n]), speeds.phi_std[n]),
             'force_pN': _number('force_pN', fit.force[n], fit.force_std[n]),
             'one_leg': _leg(fit.legs[n], key),
         }
@@ -58,9 +59,14 @@ def as_json(fit: FitResult) -> dict[str, Any]:
         'particles': particles,
         'diffusion_um2_s': _number('x_um2_s', noise.diffusion, noise.diffusion_std),
         'localisation_um': _number('x_um', noise.localisation, noise.localisation_std),
-        'delay_s': _number('x_s', fit.delay.value, fit.delay.std),
+        'delay_s': _number('x_s', _seen(fit.delay.value, fit.delay.std), fit.delay.std),
         'warnings': fit.warnings,
     }
+
+
+def _seen(value: float, std: float) -> float:
+    """Return a value that a fit begins from 0, or NaN where nothing told it otherwise."""
+    return float(value) if np.isfinite(std) else np.nan
 
 
 def _number(name: str, value: float, std: float) -> dict[str, float | None]:
@@ -105,7 +111,8 @@ def table(fit: FitResult) -> Table:
         leg = fit.legs[n]
         cells = [
             _interval(speeds.speed[n] * 1e6, speeds.speed_std[n] * 1e6),
-            _interval(np.degrees(speeds.phi[n]), np.degrees(speeds.phi_std[n])),
+            _interval(np.degrees(_seen(speeds.phi[n], speeds.phi_std[n])),
+                      np.degrees(speeds.phi_std[n])),
             _interval(fit.force[n] * 1e12, fit.force_std[n] * 1e12),
             _interval(leg.speed * 1e6, leg.speed_std * 1e6),
             _interval(np.degrees(leg.phi), np.degrees(leg.phi_std)),

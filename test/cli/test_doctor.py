@@ -16,6 +16,7 @@ from microbot_ros.cli.rig import doctor
 from microbot_ros.cli.rig.doctor import (
     _camera,
     _dead_man,
+    _latency,
     _real_time,
     _rig,
     _watch_camera,
@@ -151,3 +152,16 @@ def test_a_rig_without_a_camera_is_none_the_worse(tmp_path):
     rig = tmp_path / 'rig.yaml'
     rig.write_text('model: {}\n')
     assert _camera(rig).level == 'ok'
+
+
+def test_a_rig_without_nodes_is_none(tmp_path):
+    (tmp_path / 'rig.yaml').write_text('# nothing yet\n')
+    assert _rig(tmp_path / 'rig.yaml').level == 'fail'
+
+
+def test_a_port_that_cannot_be_opened_was_not_checked(tmp_path):
+    (tmp_path / 'rig.yaml').write_text(
+        f'coil_driver:\n  ros__parameters:\n    port: {tmp_path}/none\n')
+    found = _latency(tmp_path / 'rig.yaml')
+    assert found.level == 'warn'
+    assert found.detail.startswith(f'{tmp_path}/none: not checked, expected a serial port')

@@ -49,6 +49,27 @@ def test_options_overrule_detection(table, tmp_path):
     assert tracks.t[1] == pytest.approx(0.05e-3)
 
 
+def test_a_session_that_is_there_is_replaced_on_demand_only(table, tmp_path):
+    words = table, '--pixel-size-um', 0.5, '--out', tmp_path / 's'
+    run(*words)
+    (tmp_path / 's' / 'commands.csv').write_text('t_s,bx_mT,by_mT\n0,1,0\n')
+    kept = {path.name: path.read_bytes() for path in (tmp_path / 's').iterdir()}
+    with pytest.raises(InputError, match='--force replaces'):
+        run(*words)
+    assert {path.name: path.read_bytes() for path in (tmp_path / 's').iterdir()} == kept
+    run(*words, '--force')
+    assert len(read_session(tmp_path / 's').commands.t) == 0
+
+
+@pytest.mark.parametrize('source', ['', 'tracks.csv'])
+def test_no_session_replaces_the_tables_that_it_is_made_of(table, tmp_path, source):
+    table.rename(tmp_path / 'tracks.csv')
+    with pytest.raises(InputError, match='another folder than that of the tables'):
+        run(tmp_path / source, '--pixel-size-um', 0.5, '--out', tmp_path, '--force')
+    assert [path.name for path in tmp_path.iterdir()] == ['tracks.csv']
+    assert (tmp_path / 'tracks.csv').read_text() == TABLE
+
+
 @pytest.mark.parametrize(('words', 'said'), [
     ([], '--position-unit'), (['--position-unit', 'px'], '--pixel-size-um'),
     (['--pixel-size-um', 'nan'], 'no number'), (['--pixel-size-um', '-1'], 'not in the range'),

@@ -6,6 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from microbot_ros.cli.rig.set import command
+from microbot_ros.common.errors import InputError
 from microbot_ros.nodes.client import graph_client
 
 
@@ -44,9 +45,15 @@ def test_a_path_is_from_here_wherever_the_node_runs(tmp_path, monkeypatch, given
 
 
 @pytest.mark.parametrize(('given', 'told'), [
-    ('5', 5), ('5.5', 5.5), ('true', True), ('[1, 2]', [1, 2]), ('waypoint', 'waypoint'),
+    ('5', 5), ('-5', -5), ('-5.5', -5.5), ('5.5', 5.5), ('true', True),
+    ('[1, 2]', [1, 2]), ('waypoint', 'waypoint'),
     ('2026-03-14', '2026-03-14'), ('{a: 1}', '{a: 1}'), ('[', '['), ('9' * 6000, '9' * 6000)])
 def test_values_are_what_they_look_like(given, told):
     assert CliRunner().invoke(command, ['controller', 'any', given]).exit_code == 0
     assert Graph.told['any'] == told
     assert type(Graph.told['any']) is type(told)
+
+
+def test_a_parameter_without_a_name_is_none():
+    done = CliRunner().invoke(command, ['model', '', '5'])
+    assert isinstance(done.exception, InputError)

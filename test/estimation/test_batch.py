@@ -143,7 +143,9 @@ def test_without_commands_there_is_noise_but_no_speed():
     assert np.isnan(result.polar.speed).all()
     assert any('nothing was driven' in text for text in result.warnings)
     content = report.as_json(result)
-    assert content['particles']['0']['v_um_s'] == {'value': None, 'std': None}
+    unknown = {'value': None, 'std': None}
+    assert content['delay_s'] == unknown
+    assert content['particles']['0']['v_um_s'] == content['particles']['0']['phi_rad'] == unknown
     json.dumps(content, allow_nan=False)
 
 

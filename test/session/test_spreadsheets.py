@@ -229,6 +229,16 @@ def test_a_uniform_field_needs_a_unit_and_keeps_its_components(tmp_path):
     assert session.conditions.propulsion == 'catalytic'
 
 
+@pytest.mark.parametrize('name', ['b{}_mT', 'B{}_mT', 'B{} mT', 'B{} (mT)', 'B{}[mT]'])
+def test_a_field_in_millitesla_is_one_however_it_is_written(tmp_path, name):
+    bx, by = 5 * np.cos(TRUTH.direction), 5 * np.sin(TRUTH.direction)
+    names = ['t_s', 'x_um', 'y_um', name.format('x'), name.format('y')]
+    path = write_csv(tmp_path / 'a.csv', names, [TRUTH.t, *TRUTH.first.T * 1e6, bx, by])
+    session, _ = import_session(path, Answers())
+    np.testing.assert_allclose(
+        session.commands.field_at(TRUTH.t), 1e-3 * np.column_stack([bx, by]))
+
+
 def test_headings_turn_with_the_picture(tmp_path):
     theta = np.degrees(TRUTH.direction)
     x, y = TRUTH.first.T / PIXEL

@@ -184,7 +184,7 @@ def _rig(config: Path) -> Finding:
     from microbot_ros.nodes.configuration import read_rig
 
     rig = read_rig(config)
-    problems = []
+    problems = [] if rig else [f'{config}: expected a section for each node to run']
     for node, name in (('coil_driver', 'port'), ('camera', 'source')):
         device = str(rig.get(node, {}).get(name, ''))
         if device.startswith('/') and not Path(device).exists():
@@ -295,9 +295,9 @@ def _latency(config: Path) -> Finding:
         try:
             slow, sentence = _asked_for_low_latency(port)
         except PortBusyError:
-            slow, sentence = False, 'in use, not checked'
+            slow, sentence = True, 'in use, not checked'
         except AmplifierError as error:
-            slow, sentence = False, str(error)
+            slow, sentence = True, f'not checked, {str(error).removeprefix(f"{port}: ")}'
         level = 'warn' if slow else level
         told.append(f'{port}: {sentence}')
     return Finding('low latency', level, '; '.join(told) or 'no port configured')

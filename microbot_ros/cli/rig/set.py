@@ -8,9 +8,10 @@ import click
 
 from microbot_ros.cli.options import namespace_option
 from microbot_ros.common import strict_yaml
+from microbot_ros.common.errors import InputError
 
 
-@click.command()
+@click.command(context_settings={'ignore_unknown_options': True})  # a number may be negative
 @click.argument('node')
 @click.argument('parameter')
 @click.argument('value')
@@ -28,6 +29,8 @@ def command(node: str, parameter: str, value: str, namespace: str) -> None:
     """
     from microbot_ros.nodes.client.graph_client import GraphClient
 
+    if not parameter:
+        raise InputError('', 'expected the name of a parameter; received nothing')
     with GraphClient(namespace=namespace) as client:
         if parameter.endswith('_file') and value:
             value = str(Path(value).resolve())

@@ -143,5 +143,6 @@ def _split_unit(name: str) -> tuple[str, str]:
 
 
 def _plain(name: str) -> str:
-    spaced = re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', name)
+    whole = re.sub(r'(?<![A-Za-z])mT\b', 'mt', name)  # a unit, not two words
+    spaced = re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', whole)
     return re.sub(r'[\s_.\-]+', ' ', spaced).strip().lower()

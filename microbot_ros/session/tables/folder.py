@@ -182,10 +182,10 @@ def write_session(path: str | Path, session: Session) -> None:
         write_table(folder / 'tracks.csv', table)
         if len(commands.t):
             write_table(folder / 'commands.csv', _command_columns(session))
-        else:
-            (path / 'commands.csv').unlink(missing_ok=True)
         (folder / 'session.yaml').write_text(
             session_text(session), encoding='utf-8')
+    if not len(commands.t):  # those of an earlier session
+        (path / 'commands.csv').unlink(missing_ok=True)
 
 
 def _read_tracks(path: Path) -> Tracks:
