@@ -250,8 +250,7 @@ class CoilDriver:
         CONFIRMED as long as readings taken after the zero continue to show none.
         """
         if not self.connected:  # what was seen at the end is not seen any more
-            unknown = self.amplifier.unreachable or self._left is Zero.UNREACHABLE
-            return Zero.UNREACHABLE if unknown else Zero.SENT
+            return Zero.SENT if self._left is Zero.CONFIRMED else self._left
         since_s = self._zero_since_s
         if since_s is None:
             return None
@@ -677,8 +676,10 @@ class CoilDriver:
         self._take_order()
         if self._clock.wait(self._ending, _RECONNECT_S):
             return
-        with suppress(AmplifierError):
+        try:
             self._connect()
+        except AmplifierError:
+            self._left = Zero.UNREACHABLE if self.amplifier.unreachable else Zero.SENT
 
     def _connect(self) -> None:
         self.amplifier.connect()

@@ -295,7 +295,7 @@ def _latency(config: Path) -> Finding:
         try:
             slow, sentence = _asked_for_low_latency(port)
         except PortBusyError:
-            slow, sentence = True, 'in use, not checked'
+            slow, sentence = False, 'in use, not checked'
         except AmplifierError as error:
             slow, sentence = True, f'not checked, {str(error).removeprefix(f"{port}: ")}'
         level = 'warn' if slow else level
