@@ -493,8 +493,7 @@ class CoilDriver:
         if self._last_resort is not None and not self._last_resort.feed():
             self.gate.trip(Reason.INTERNAL, 'the sentinel process ended')
             self._write()
-            self._last_resort.abandon()
-            self._last_resort = None
+            self._last_resort.abandon()  # it goes on to count as lost until another was started
             self._start_last_resort()
         for reading in readings:
             self._tell(reading, now)

@@ -1,5 +1,6 @@
 """Every way to zero of the driver of the coils, on virtual time: exact, and quick for mutants."""
 
+import errno
 import math
 import threading
 from dataclasses import replace
@@ -805,6 +806,27 @@ def test_without_its_sentinel_the_coils_are_at_zero_and_another_begins(sentinel)
     assert sentinel == ['abandoned', ZERO]  # zero goes out first
     rig.drive()
     assert rig.gate.fault is None
+
+
+@pytest.mark.usefixtures('sentinel')
+def test_a_sentinel_that_could_not_be_started_is_started_before_anything_is_driven(monkeypatch):
+    rig = Rig('scpi')
+    rig.driver.amplifier.last_words = lambda: [(0, b'')]
+    rig.connect().drive()
+    first, start, refusals = rig.driver._last_resort, coil_driver.LastResort, [True, True]
+
+    def start_later(words):
+        if refusals:
+            refusals.pop()
+            raise OSError(errno.ENOMEM, 'Cannot allocate memory')
+        return start(words)
+    monkeypatch.setattr(coil_driver, 'LastResort', start_later)
+    first.there = False
+    rig.tripped(Reason.INTERNAL)
+    rig.drive()
+    assert not refusals
+    assert rig.driver._last_resort is not first
+    assert rig.driver._last_resort.there
 
 
 # Arming is asked in an epoch --------------------------------------------------------------------
