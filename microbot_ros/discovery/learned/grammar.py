@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -233,6 +233,17 @@ class _Table:
         """Half of the larger range of the data."""
         return max(float(np.ptp(axis[self.term.seen])) / 2 for axis in (self.x, self.y)) or 1.0
 
+    @cached_property
+    def scaled(self) -> tuple[np.ndarray, np.ndarray]:
+        """Both axes, from −1 to 1 over the larger range of the data."""
+        (x0, y0), half = self.middle, self.half
+        return (self.x - x0) / half, (self.y - y0) / half
+
+    def along(self, angle: float) -> np.ndarray:
+        """Return the scaled place (K,) along the direction `angle` [rad]."""
+        u, v = self.scaled
+        return np.asarray(u * np.cos(angle) + v * np.sin(angle))
+
     @property
     def unit(self) -> str:
         """Suffix of the covariate's unit."""
@@ -343,61 +354,72 @@ def _of_angle(t: _Table) -> Iterator[Formula]:
             _fixed(t.each([one, np.cos(n * t.x), np.sin(n * t.x)])), t.named(3))
 
 
+_ANGLES = tuple(np.arange(12) * np.pi / 6)
+"""Directions from which a fit starts."""
+
+
 def _of_place(t: _Table) -> Iterator[Formula]:
-    (x0, y0), half = t.middle, t.half
-    u, v = (t.x - x0) / half, (t.y - y0) / half
+    """Yield formulas of place; `u` and `v` run from −1 to 1 over the larger range of the data."""
+    u, v = t.scaled
     one = 1.0 + 0 * u
-    yield Formula('c0 + c1 u + c2 v', lambda _: t.each([one, u, v]), t.named(3))
+    yield Formula('c0 + c1 u + c2 v', _fixed(t.each([one, u, v])), t.named(3))
     yield Formula('c0 + c1 u + c2 v + c3 u² + c4 uv + c5 v²',
-                  lambda _: t.each([one, u, v, u * u, u * v, v * v]), t.named(6))
-    angles = tuple(np.arange(12) * np.pi / 6)
+                  _fixed(t.each([one, u, v, u * u, u * v, v * v])), t.named(6))
+    yield from (_flows if t.term.acts_on == 'velocity' else _factors)(t)
 
-    def along(angle: float) -> np.ndarray:
-        return np.asarray(u * np.cos(angle) + v * np.sin(angle))
 
+def _spot(t: _Table) -> tuple[tuple[str, ...], tuple[Shape, ...], Shape, Shape]:
+    """Return names, starting points and bounds of a place and a radius."""
+    (x0, y0), half = t.middle, t.half
     places = tuple(np.linspace(-0.9, 0.9, 5))
-    spots = tuple((half * x + x0, half * y + y0, half * a)
-                  for x, y, a in product(places, places, (0.2, 0.5)))
-    spot = (('x_um', 'y_um', 'a_um'), spots, (x0 - 1.3 * half, y0 - 1.3 * half, 0.08 * half),
+    starts = tuple((half * x + x0, half * y + y0, half * a)
+                   for x, y, a in product(places, places, (0.2, 0.5)))
+    return (('x_um', 'y_um', 'a_um'), starts, (x0 - 1.3 * half, y0 - 1.3 * half, 0.08 * half),
             (x0 + 1.3 * half, y0 + 1.3 * half, 2.0 * half))
 
-    def apart(s: Shape) -> np.ndarray:
-        return _apart(t, s)
 
-    if t.term.acts_on == 'velocity':
-        # One direction, with any profile across it: a channel, shear, a wall.
-        def profile(s: Shape, factors: Callable[[np.ndarray], list[np.ndarray]]) -> np.ndarray:
-            way = -1j * np.exp(1j * s[0])
-            return t.field([way * f for f in factors(along(s[0]))])
+def _flows(t: _Table) -> Iterator[Formula]:
+    """Yield velocities in one direction, with any profile across it, and about a place."""
+    names, starts, lows, highs = spot = _spot(t)
 
-        turns = tuple((a,) for a in angles[:6])
-        yield Formula('(c0 + c1 s + c2 s²) along, s across',
-                      lambda s: profile(s, lambda q: [1 + 0 * q, q, q * q]),
-                      t.named(3, field=True), ('angle_rad',), turns, (-np.pi,), (np.pi,))
-        yield Formula(
-            '(c0 cos ks + c1 sin ks) along, s across',
-            lambda s: profile(s, lambda q: [np.cos(s[1] * q), np.sin(s[1] * q)]),
-            t.named(2, field=True), ('angle_rad', 'k'),
-            tuple(product(angles[:6], (3.0, 4.5, 6.0))), (-np.pi, 3.0), (np.pi, 9.0))
-        yield Formula(
-            'c0 exp(−s/a) along',
-            lambda s: t.field([np.exp(1j * s[0] - (along(s[0]) + 1) / s[1])]),
-            t.named(1, field=True), ('angle_rad', 'a'), tuple(product(angles, (0.2, 0.6))),
-            (-2 * np.pi, 0.05), (2 * np.pi, 2.0))
-        for text, turn, fall in (
-                ('c0 (−y, x)/(r² + a²)', 1j, lambda r, a: a / (r**2 + a**2)),
-                ('c0 (x, y)/(r² + a²)', 1.0, lambda r, a: a / (r**2 + a**2)),
-                ('c0 (−y, x) exp(−r²/2a²)', 1j, lambda r, a: np.exp(-(r**2) / (2 * a**2)) / a),
-                ('c0 (x, y) exp(−r²/2a²)', 1.0, lambda r, a: np.exp(-(r**2) / (2 * a**2)) / a),
-                ('c0 (x, y)/(r + a)', 1.0, lambda r, a: 1 / (r + a))):
-            yield Formula(text, partial(_about, t, turn, fall), t.named(1, field=True), *spot)
-        yield Formula('c0 (x, y) about a place', lambda s: t.field([apart((*s, 0.0)) / half]),
-                      t.named(1, field=True), ('x_um', 'y_um'),
-                      tuple((x, y) for x, y, _ in spots[::2]), spot[2][:2], spot[3][:2])
-        return
-    yield Formula('c0 + c1 exp(−s/a)', lambda s: t.each([one, np.exp(-(along(s[0]) + 1) / s[1])]),
-                  t.named(2), ('angle_rad', 'a'), tuple(product(angles, (0.3, 1.0))),
-                  (-2 * np.pi, 0.05), (2 * np.pi, 3.0))
+    def profile(s: Shape, factors: Callable[[np.ndarray], list[np.ndarray]]) -> np.ndarray:
+        way = -1j * np.exp(1j * s[0])
+        return t.field([way * f for f in factors(t.along(s[0]))])
+
+    yield Formula('(c0 + c1 s + c2 s²) along, s across',
+                  lambda s: profile(s, lambda q: [1 + 0 * q, q, q * q]),
+                  t.named(3, field=True), ('angle_rad',), tuple((a,) for a in _ANGLES[:6]),
+                  (-np.pi,), (np.pi,))
+    yield Formula(
+        '(c0 cos ks + c1 sin ks) along, s across',
+        lambda s: profile(s, lambda q: [np.cos(s[1] * q), np.sin(s[1] * q)]),
+        t.named(2, field=True), ('angle_rad', 'k'),
+        tuple(product(_ANGLES[:6], (3.0, 4.5, 6.0))), (-np.pi, 3.0), (np.pi, 9.0))
+    yield Formula(
+        'c0 exp(−s/a) along',
+        lambda s: t.field([np.exp(1j * s[0] - (t.along(s[0]) + 1) / s[1])]),
+        t.named(1, field=True), ('angle_rad', 'a'), tuple(product(_ANGLES, (0.2, 0.6))),
+        (-2 * np.pi, 0.05), (2 * np.pi, 2.0))
+    for text, turn, fall in (
+            ('c0 (−y, x)/(r² + a²)', 1j, lambda r, a: a / (r**2 + a**2)),
+            ('c0 (x, y)/(r² + a²)', 1.0, lambda r, a: a / (r**2 + a**2)),
+            ('c0 (−y, x) exp(−r²/2a²)', 1j, lambda r, a: np.exp(-(r**2) / (2 * a**2)) / a),
+            ('c0 (x, y) exp(−r²/2a²)', 1.0, lambda r, a: np.exp(-(r**2) / (2 * a**2)) / a),
+            ('c0 (x, y)/(r + a)', 1.0, lambda r, a: 1 / (r + a))):
+        yield Formula(text, partial(_about, t, turn, fall), t.named(1, field=True), *spot)
+    yield Formula('c0 (x, y) about a place', lambda s: t.field([_apart(t, (*s, 0.0)) / t.half]),
+                  t.named(1, field=True), names[:2],
+                  tuple((x, y) for x, y, _ in starts[::2]), lows[:2], highs[:2])
+
+
+def _factors(t: _Table) -> Iterator[Formula]:
+    """Yield factors of the speed, or angles, that depend on place."""
+    u, v = t.scaled
+    one, spot = 1.0 + 0 * u, _spot(t)
+    yield Formula(
+        'c0 + c1 exp(−s/a)', lambda s: t.each([one, np.exp(-(t.along(s[0]) + 1) / s[1])]),
+        t.named(2), ('angle_rad', 'a'), tuple(product(_ANGLES, (0.3, 1.0))),
+        (-2 * np.pi, 0.05), (2 * np.pi, 3.0))
     yield Formula(
         'c0 + c1 cos(k·p) + c2 sin(k·p)', lambda s: t.each([
             one, np.cos(s[0] * u + s[1] * v), np.sin(s[0] * u + s[1] * v)]),
@@ -406,10 +428,10 @@ def _of_place(t: _Table) -> Iterator[Formula]:
         (-1.0, -9.0), (9.0, 9.0))
     yield Formula(
         'c0 + c1 H(s − a)', lambda s: t.each([one, np.clip(
-            (along(s[0]) - s[1]) * half / _spacing(t) + 0.5, 0, 1)]), t.named(2),
-        ('angle_rad', 'a'), tuple(product(angles[:6], (-0.5, -0.2, 0.0, 0.2, 0.5))),
+            (t.along(s[0]) - s[1]) * t.half / _spacing(t) + 0.5, 0, 1)]), t.named(2),
+        ('angle_rad', 'a'), tuple(product(_ANGLES[:6], (-0.5, -0.2, 0.0, 0.2, 0.5))),
         (-np.pi, -1.0), (np.pi, 1.0))
     yield Formula('c0 + c1 exp(−r²/2a²)', lambda s: t.each(
-        [one, np.exp(-np.abs(apart(s)) ** 2 / (2 * s[2] ** 2))]), t.named(2), *spot)
+        [one, np.exp(-np.abs(_apart(t, s)) ** 2 / (2 * s[2] ** 2))]), t.named(2), *spot)
     yield Formula('c0 + c1/(r² + a²)', lambda s: t.each(
-        [one, s[2] ** 2 / (np.abs(apart(s)) ** 2 + s[2] ** 2)]), t.named(2), *spot)
+        [one, s[2] ** 2 / (np.abs(_apart(t, s)) ** 2 + s[2] ** 2)]), t.named(2), *spot)
