@@ -34,6 +34,10 @@ COLUMNS = 4
 MOST_PARTICLES = 4
 """Particles drawn with their band. Choice: each takes a row of the page."""
 
+ARROW = 0.07
+"""Length of a typical arrow, relative to the width of a panel. Choice: about that of a place if
+100 are visited; twice as long ones cross each other."""
+
 MOST_POINTS = 500
 """Points of a curve. Choice: about one for each pixel of a panel."""
 
@@ -214,7 +218,8 @@ def _band(axis: Axes, prediction: Prediction, n: int, k: int) -> None:
 def draw_places(left: Residual, diffusion: float) -> Figure | None:
     """Draw the mean residual velocity by place, before and after.
 
-    Arrows longer than three standard errors, √(2D/time spent there), are dark.
+    Arrows longer than three standard errors, √(2D/time spent there), are dark. Both have one
+    scale.
 
     Parameters
     ----------
@@ -228,22 +233,22 @@ def draw_places(left: Residual, diffusion: float) -> Figure | None:
     Figure or None
         None if no place was visited enough.
     """
+    before, after = (by_place(left, positions) for positions in (left.plain, left.found))
+    if not (len(before[0]) and len(after[0])):
+        return None
+    typical = float(f'{np.quantile(np.hypot(*before[1].T), 0.8) * 1e6:.1g}') or 1.0
     figure = Figure(figsize=(11, 4.6), layout='constrained')
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
-    for axis, title, positions in zip(
-            axes, ('before: first-order model', 'after: model found'), (left.plain, left.found),
-            strict=True):
-        place, velocity, time = by_place(left, positions)
-        if not len(place):
-            return None
+    for axis, title, colour, (place, velocity, time) in zip(
+            axes, ('before: first-order model', 'after: model found'), (BEFORE, AFTER),
+            (before, after), strict=True):
         sure = np.hypot(*velocity.T) > 3 * np.sqrt(2 * diffusion / time)
         arrows = axis.quiver(
             *(place.T * 1e6), *(velocity.T * 1e6), angles='xy', width=0.004,
-            color=np.where(sure, BEFORE if positions is left.plain else AFTER, '#bbbbbb'))
-        typical = float(f'{np.quantile(np.hypot(*velocity.T), 0.8) * 1e6:.1g}')
+            scale=typical / ARROW, scale_units='width', color=np.where(sure, colour, '#bbbbbb'))
         axis.quiverkey(arrows, 0.85, 1.03, typical, f'{number(typical)} µm/s', labelpos='E',
                        fontproperties={'size': 9}, color='black')
-        axis.set_title(title, fontsize=10, loc='left')
+        axis.set_title(title, fontsize=10, loc='left', pad=18)  # above the key
         axis.set_xlabel('x (µm)')
         axis.set_aspect('equal')
         axis.margins(0.15)
