@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from builtin_interfaces.msg import Time
 from rclpy.task import Future
 
 from microbot_ros.common.errors import InputError, RigError
@@ -109,5 +110,47 @@ def test_parameters_are_set_again_while_they_are_taken_aside() -> None:
     service = Service(answer(f'is being configured: {AGAIN}'), answer(''))
     performed(client(name, service).set('controller', controller='waypoint'))
     assert len(service.asked) == 2
-    with pytest.raises(InputError, match='controller: no'):
-        performed(client(name, Service(answer('no'))).set('controller', controller='steam'))
+
+
+@pytest.mark.parametrize(('parameter', 'told'), [
+    ('controller', r'controller: no$'),
+    ('controler', "controller: expected the name of a parameter, received 'controler'; known are: "
+                  'controller, speed$')])
+def test_a_refusal_is_the_nodes_unless_it_has_no_such_parameter(parameter: str, told: str) -> None:
+    names = ['controller', 'speed']
+    asked = client('controller/set_parameters', Service(SimpleNamespace(
+        results=[SimpleNamespace(successful=False, reason='no')])))
+    asked.services['controller/list_parameters'] = Service(  # type: ignore[assignment]
+        SimpleNamespace(result=SimpleNamespace(names=names)))
+    asked.services['controller/describe_parameters'] = Service(  # type: ignore[assignment]
+        SimpleNamespace(descriptors=[SimpleNamespace(name=name) for name in names]))
+    with pytest.raises(InputError, match=told):
+        performed(asked.set('controller', **{parameter: 'steam'}))
+
+
+def test_goals_wait_for_a_recorder_that_is_discovered_after_the_controller() -> None:
+    seen, sent = ['controller'], []
+
+    def ends(_: str) -> list[Any]:
+        return [SimpleNamespace(node_name=name, node_namespace='/') for name in seen]
+
+    def publisher(*_: Any) -> Any:
+        return SimpleNamespace(get_subscription_count=lambda: len(seen),
+                               publish=lambda _: sent.append(seen.copy()))
+    node: Any = SimpleNamespace(
+        get_namespace=lambda: '/', get_subscriptions_info_by_topic=ends,
+        create_publisher=publisher, get_clock=lambda: SimpleNamespace(
+            now=lambda: SimpleNamespace(to_msg=lambda: Time(sec=5))))
+    rig = RigClient(node)
+    steps = rig.send_goals([(1e-6, 2e-6)])
+    true, _ = next(steps)
+    assert true()
+    true, _ = steps.send(True)
+    assert not true()
+    seen.append('recorder')
+    assert true()
+    true, _ = steps.send(True)
+    assert true()
+    assert sent == []
+    steps.send(True)
+    assert sent == [['controller', 'recorder']]

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.client.rig_view import RigView
@@ -76,3 +76,14 @@ def test_the_frame_rate_comes_from_two_reports_of_the_camera(
     assert view.state()['frames'] == {'rate_hz': 60.0, 'exposure_ms': 2.5}
     now[0] += 4.0
     assert view.state()['frames'] is None
+
+
+def test_a_zero_from_before_the_rig_was_armed_is_none_of_now() -> None:
+    view, zero = RigView(Node()), 'zero, confirmed by a reading'  # type: ignore[arg-type]
+    _report(view, 'coil_driver', b'\0', f'disarmed; {zero}', armed='False', zero=zero)
+    assert view.state()['zero'] == 'confirmed'
+    for armed in (True, False):
+        view._on_armed(Bool(data=armed))
+    assert (view.state()['rig'], view.state()['zero']) == ('disarmed', None)
+    _report(view, 'coil_driver', b'\0', f'disarmed; {zero}', armed='False', zero=zero)
+    assert view.state()['zero'] == 'confirmed'

@@ -23,7 +23,7 @@ from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
-from microbot_ros.common.errors import InputError, RigError
+from microbot_ros.common.errors import InputError, RigError, known
 from microbot_ros.common.patience import PATIENCE
 from microbot_ros.common.records import Commands
 from microbot_ros.control.controller_thread import AGAIN, CONFIGURING
@@ -37,6 +37,9 @@ controller reports five times a second."""
 MATCH_S = 2.0
 """Time [s] for all listeners to be connected. Choice: discovery takes less; a listener that is
 later misses one message."""
+RECORDER_S = 0.5
+"""Time [s] for a recorder to be discovered after the controller. Choice: on one machine they are
+0.1 s apart; half would lose goals of a busy rig, twice delays the first one without a recorder."""
 
 T = TypeVar('T')
 Wait = tuple[Callable[[], Any], float]
@@ -273,7 +276,10 @@ class RigClient:
             yield (lambda: False), REPEAT_S
         for name, result in zip(values, answer.results, strict=True):
             if not result.successful:
-                raise InputError(node, result.reason or f'{name} was refused')
+                there = [one.name for one in (yield from self.describe(node))]
+                raise InputError(node, (
+                    result.reason or f'{name} was refused' if name in there else
+                    f"expected the name of a parameter, received '{name}'; {known(there, name)}"))
 
     def get(self, node: str, *names: str) -> Steps[dict[str, Any]]:
         """Get parameters of a node.
@@ -402,12 +408,13 @@ class RigClient:
 
         def says(*keys: str) -> bool:
             return any(float(self.progress.get(key, 'nan')) == stamp for key in keys)
-        yield from self._find('controller', lambda: self._controller_listens(topic),
+        yield from self._find('controller', lambda: self._listens('controller', topic),
                               f'takes no {topic}', PATIENCE.find_s)
         publisher = self.publishers.get(topic)
         if publisher is None:
             publisher = self.publishers[topic] = self._node.create_publisher(
                 type(message), topic, 10)
+            yield (lambda: self._listens('recorder', topic)), RECORDER_S
         # For recorders too: a subscriber misses messages from before it is matched.
         yield (lambda: publisher.get_subscription_count() >= len(
             self._node.get_subscriptions_info_by_topic(topic))), MATCH_S
@@ -424,9 +431,9 @@ class RigClient:
             return Taken(stamp, self.progress['controller'])
         raise RefusedError('controller', self.progress['refused'])
 
-    def _controller_listens(self, topic: str) -> bool:
-        controller = 'controller', self._node.get_namespace()
-        return any((end.node_name, end.node_namespace) == controller
+    def _listens(self, node: str, topic: str) -> bool:
+        wanted = node, self._node.get_namespace()
+        return any((end.node_name, end.node_namespace) == wanted
                    for end in self._node.get_subscriptions_info_by_topic(topic))
 
     def _find(self, node: str, true: Callable[[], bool], lack: str, seconds: float,

@@ -80,6 +80,7 @@ class RigView:
         self._raw: dict[str, tuple[float, bytes]] = {}
         self._health: dict[str, tuple[float, DiagnosticStatus, dict[str, str]]] = {}
         self._armed: tuple[float, bool] | None = None
+        self._was_armed_s = -math.inf
         self._progress: tuple[float, dict[str, str]] = (-math.inf, {})
         self._available: list[dict[str, str]] = []
         self._taken_goals: list[dict[str, Any]] = []
@@ -236,6 +237,8 @@ class RigView:
 
     def _on_armed(self, message: Bool) -> None:
         self._armed = time.monotonic(), message.data
+        if message.data:
+            self._was_armed_s = time.monotonic()
 
     def _on_progress(self, message: DiagnosticStatus) -> None:
         values = {pair.key: pair.value for pair in message.values}
@@ -391,10 +394,11 @@ class RigView:
     def _zero(self, rig: str) -> str | None:
         """Return the state of a zero: 'confirmed', 'sent' or 'unreachable'.
 
-        None while the rig is armed or the driver is silent.
+        None while the rig is armed or the driver is silent. A report from before the rig was last
+        armed says nothing about the present zero.
         """
         told_s, _, values = self._health.get('coil_driver', (-math.inf, None, {}))
-        fresh = time.monotonic() - told_s <= _SILENCE_S
+        fresh = time.monotonic() - told_s <= _SILENCE_S and told_s > self._was_armed_s
         return zero_in(values.get('zero', '')) if fresh and rig != 'armed' else None
 
     def _read(self, topic: str) -> Any:
