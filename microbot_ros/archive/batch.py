@@ -79,7 +79,7 @@ class Summary:
     task : Task
         The task.
     found : int
-        Recordings that were found.
+        Recordings that were found, with those that cannot be read.
     done : int
         Recordings that were processed in this run.
     kept : int
@@ -88,6 +88,8 @@ class Summary:
         Recordings of a kind that the task does not process.
     copies : int
         Copies of other recordings.
+    copy_of : dict of str to str
+        Name of the original by name of the copy.
     refused : dict of str to str
         Reason by name, of recordings that could not be read.
     failed : dict of str to str
@@ -104,6 +106,7 @@ class Summary:
     kept: int = 0
     aside: int = 0
     copies: int = 0
+    copy_of: dict[str, str] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     summaries: dict[str, str] = field(default_factory=dict)
@@ -163,7 +166,7 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
             return started
 
         jobs = _look(archive, task, folders, settings, summary, report)
-        if not (summary.found or summary.refused):
+        if not summary.found:
             raise InputError(', '.join(map(str, folders)), 'expected recordings; found none')
         archive.save()
         if (known := archive.findings()) is not None:
@@ -274,8 +277,8 @@ def _look(archive: Archive, task: Task, folders: Sequence[Path], settings: dict[
         jobs.append(job)
     archive.forget([folder.resolve() for folder in folders], there)
     archive.refused |= refused
-    summary.found = len(found) - len(beside)
-    summary.aside = summary.found - len(wanted)
+    summary.found = len(everything) - len(beside)
+    summary.aside = len(found) - len(beside) - len(wanted)
     summary.refused |= {name: one.reason for name, one in refused.items()}
     return jobs
 
@@ -330,6 +333,8 @@ def _count(archive: Archive, jobs: Sequence[Job], summary: Summary,
     """
     different = {job.key: job for job in jobs}
     summary.copies = len(jobs) - len(different)
+    summary.copy_of = {archive.entries[str(job.path)].name: archive.entries[str(one.path)].name
+                       for job in jobs if (one := different[job.key]) is not job}
     for job in different.values():
         name, result = archive.entries[str(job.path)].name, archive.result(job.key)
         if result is None:

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from microbot_ros.archive.work import Job, VersionError, do
-from microbot_ros.common.errors import InputError, RigError
+from microbot_ros.common.errors import InputError, RigError, counted
 from microbot_ros.common.extras import require
 from microbot_ros.common.patience import PATIENCE
 
@@ -182,7 +182,7 @@ def introduced(client: Client) -> str:
         The sentence.
     """
     count = len(client.scheduler_info(n_workers=-1)['workers'])
-    who = f'{count} worker{"" if count == 1 else "s"}' if count else (
+    who = counted(count, 'worker') if count else (
         'no workers yet; waiting for one')
     if find_spec('bokeh') is None:
         return f'{who}; Dask’s dashboard needs bokeh (pip install bokeh)'

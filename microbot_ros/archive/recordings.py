@@ -21,6 +21,7 @@ from microbot_ros.session.mcap.bag import METADATA_FILE
 from microbot_ros.session.spreadsheets.columns import find_columns
 from microbot_ros.session.spreadsheets.sheets import SAVE_AS_XLSX, UTF_16, read_sheets
 from microbot_ros.session.spreadsheets.summary import summary_of
+from microbot_ros.session.tables.folder import FILES, TRACKS
 
 Kind = Literal['session', 'recording', 'film', 'table']
 MARK = '.microbot'
@@ -30,7 +31,6 @@ requested."""
 LABELS = 'archive.yaml'
 _HIDDEN = ('.', '~$')
 """Beginnings of names of hidden files; `~$` are locks of Excel while a workbook is open."""
-_SESSION = ('tracks.csv', 'commands.csv', 'session.yaml')
 _SHEETS = ('.csv', '.tsv', '.xlsx', '.xlsm')
 _CLAIMS = (*_SHEETS, '.xls', '.mcap', '.db3', '.avi', '.mp4', '.mov', '.mkv', '.webm', '.m4v')
 """Endings of files that people take for recordings: if they are none, that is reported."""
@@ -249,8 +249,9 @@ def _in_folder(here: Path, files: list[Path], top: Path, cards: FileCards,
     def found(path: Path, kind: Kind, of: Sequence[Path]) -> Found:
         return Found(path, kind, top, tuple(of))
 
-    if here / _SESSION[0] in files:
-        own = [file for file in files if file.name in _SESSION]
+    own = [file for file in files if file.name in FILES]
+    tracks = here / FILES[0]
+    if tracks in own and (len(own) > 1 or _has_session_columns(tracks)):
         yield found(here, 'session', own)
         files = [file for file in files if file not in own]
     kinds: dict[str, list[Path]] = {}
@@ -263,7 +264,7 @@ def _in_folder(here: Path, files: list[Path], top: Path, cards: FileCards,
     metadata = [file for file in files if file.name == METADATA_FILE]
     together = len(mcaps) > 1 and len({
         (re.sub(r'_\d+$', '', file.stem), file.suffix == '.mcap') for file in mcaps}) == 1
-    if mcaps and (metadata or together) and not (here / _SESSION[0]).exists():
+    if mcaps and (metadata or together) and not tracks.exists():
         yield found(here, 'recording', [*mcaps, *metadata])
     else:
         yield from (found(file, 'recording', [file]) for file in mcaps)
@@ -278,6 +279,16 @@ def _in_folder(here: Path, files: list[Path], top: Path, cards: FileCards,
         yield from (found(file, 'table', [file]) for file in tables)
     yield from (found(file, 'table', [file]) for file in kinds.pop('spreadsheet', []))
     yield from _refused(kinds, top)
+
+
+def _has_session_columns(tracks: Path) -> bool:
+    """Return whether `tracks` is the table of a session: programs of others use the name too."""
+    try:
+        with tracks.open(encoding='utf-8-sig', errors='replace') as file:
+            names = {name.strip() for name in file.readline(4096).split(',')}
+    except OSError:
+        return True  # the reader of sessions says why
+    return {*TRACKS.required} <= names
 
 
 def _refused(kinds: dict[str, list[Path]], top: Path) -> Iterator[Refused]:

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from microbot_ros.cli.import_ import answer_options, answers
-from microbot_ros.cli.options import FiniteFloatRange, json_option, plausible_number
+from microbot_ros.cli.options import (
+    NEW_FOLDER,
+    PATH,
+    FiniteFloatRange,
+    json_option,
+    plausible_number,
+)
+from microbot_ros.common.errors import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,8 +28,8 @@ if TYPE_CHECKING:
 
 _COMMON = (
     click.argument('folders', metavar='FOLDER...', nargs=-1, required=True,
-                   type=click.Path(path_type=Path)),
-    click.option('--out', type=click.Path(path_type=Path), required=True, metavar='ARCHIVE',
+                   type=PATH),
+    click.option('--out', type=NEW_FOLDER, required=True, metavar='ARCHIVE',
                  help='Folder for archive.parquet, archive.html and the results.'),
     click.option('--workers', type=click.IntRange(1), metavar='N',
                  help='Processes on this machine; default: the number of cores.'),
@@ -68,7 +75,7 @@ def command() -> None:
               help='Width of a pixel in the sample, if no session.yaml beside a film states it.')
 @click.option('--frame-rate-hz', type=plausible_number('frame_rate_hz'),
               help="Frames per second, of images or in place of a film's own rate.")
-@click.option('--settings', 'settings_path', type=click.Path(path_type=Path), metavar='YAML',
+@click.option('--settings', 'settings_path', type=PATH, metavar='YAML',
               help='Settings of detection and linking; missing ones are chosen automatically.')
 def _track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_path: Path | None,
            **common: Any) -> None:
@@ -171,16 +178,12 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
         raise ReportError(summary.no_report)
     if task in ('import', 'track'):
         made = found['imported']['sessions'] if task == 'import' else len(found['films'])
-        console.print(f'{out}: {_counted(made, "session")} in {out / "sessions"}', markup=False)
+        console.print(f'{out}: {counted(made, "session")} in {out / "sessions"}', markup=False)
     else:
         console.print(
-            f'{out}: {_counted(found["sessions"], "session")}, '
-            f'{_counted(found["particles"], "particle")} in archive.parquet; archive.html',
+            f'{out}: {counted(found["sessions"], "session")}, '
+            f'{counted(found["particles"], "particle")} in archive.parquet; archive.html',
             markup=False)
-
-
-def _counted(count: int, what: str) -> str:
-    return f'{count} {what}{"" if count == 1 else "s"}'
 
 
 def _assumed(imported: dict[str, Any]) -> list[str]:
@@ -207,12 +210,13 @@ def _told(summary: Summary) -> list[str]:
     lines += [f'{name}: {reason}; the next run tries it again'
               for name, reason in sorted(summary.failed.items())]
     lines += [f'{name}: {sentence}' for name, sentence in sorted(summary.summaries.items())]
+    lines += [f'{name}: a copy of {other}' for name, other in sorted(summary.copy_of.items())]
     parts = [f'{summary.done} done', f'{summary.kept} kept from before']
     parts += [f'{count} {what}' for count, what in (
-        (summary.copies, 'copies of others'), (len(summary.summaries), 'tables of averages'),
+        (summary.copies, 'copied from others'), (len(summary.summaries), 'with averages only'),
         (summary.aside, f'not for {summary.task}'),
         (len(summary.refused), 'refused'), (len(summary.failed), 'failed')) if count]
-    return [*lines, f'{summary.found} recordings: {", ".join(parts)}']
+    return [*lines, f'{counted(summary.found, "recording")}: {", ".join(parts)}']
 
 
 class _Shown:

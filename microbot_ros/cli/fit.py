@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange, force_option, json_option
+from microbot_ros.cli.options import NEW_FOLDER, PATH, FiniteFloatRange, force_option, json_option
 
 
 @click.command()
-@click.argument('session', metavar='SESSION', type=click.Path(path_type=Path))
-@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+@click.argument('session', metavar='SESSION', type=PATH)
+@click.option('--out', type=NEW_FOLDER, required=True, metavar='DIR',
               help='Folder for fit.json and fit.png.')
 @click.option('--exposure-ms', type=FiniteFloatRange(0, 10_000), default=0.0, show_default=True,
               help='Exposure time of a frame, for the blur of diffusion during it.')

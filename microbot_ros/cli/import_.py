@@ -8,13 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange, force_option, json_option, plausible_number
-from microbot_ros.common.errors import InputError
+from microbot_ros.cli.options import (
+    NEW_FOLDER,
+    PATH,
+    FiniteFloatRange,
+    force_option,
+    json_option,
+    plausible_number,
+)
+from microbot_ros.common.errors import InputError, counted
 
 if TYPE_CHECKING:
     from microbot_ros.session.spreadsheets.sheets import Answers
 
-_MADE = ('tracks.csv', 'commands.csv', 'session.yaml')
 _ROLES = ('time, frame, particle, x, y, theta, direction, frequency, bx, by, speed, vx, vy, tilt, '
           'cone, gradient, sound')
 
@@ -63,8 +69,8 @@ def answer_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.command(name='import')
-@click.argument('source', type=click.Path(path_type=Path))
-@click.option('--out', type=click.Path(path_type=Path), required=True,
+@click.argument('source', type=PATH)
+@click.option('--out', type=NEW_FOLDER, required=True,
               help='Folder of the session to write.')
 @answer_options
 @force_option
@@ -90,19 +96,21 @@ def command(source: Path, out: Path, force: bool, json_path: Path | None, **give
     from microbot_ros.common.units import exact_display
     from microbot_ros.session import write_session
     from microbot_ros.session.spreadsheets.assemble import import_session
+    from microbot_ros.session.tables.folder import FILES
 
-    own = [source] if source.is_file() else [source / name for name in _MADE]
-    if {one.resolve() for one in own} & {(out / name).resolve() for name in _MADE}:
+    own = [source] if source.is_file() else [source / name for name in FILES]
+    if {one.resolve() for one in own} & {(out / name).resolve() for name in FILES}:
         raise InputError(out, 'expected another folder than that of the tables, which are kept')
-    refuse_to_overwrite(out, _MADE, force)
+    refuse_to_overwrite(out, FILES, force)
     with Console(stderr=True).status(f'reading {source}'):
         session, said = import_session(source, answers(**given))
         write_session(out, session)
     tracks, commands = session.tracks, session.commands
     for sentence in said:
         click.echo(f'assumed  {sentence}')
-    click.echo(f'{out}: {len(tracks.particles)} robots, {len(tracks.t)} positions over '
-               f'{tracks.t[-1] - tracks.t[0]:.1f} s, {len(commands.t)} commands')
+    click.echo(f'{out}: {counted(len(tracks.particles), "robot")}, '
+               f'{counted(len(tracks.t), "position")} over '
+               f'{tracks.t[-1] - tracks.t[0]:.1f} s, {counted(len(commands.t), "command")}')
     if json_path:
         found = {
             'particles': tracks.particles.tolist(), 'positions': len(tracks.t),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from microbot_ros.cli.options import json_option
+from microbot_ros.cli.options import NEW_FILE, PATH, json_option
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import write_json
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument('session', type=click.Path(path_type=Path))
+@click.argument('session', type=PATH)
 @json_option('Write the summary as JSON to this file.')
-@click.option('--figure', type=click.Path(path_type=Path),
+@click.option('--figure', type=NEW_FILE,
               help='Draw paths, commands and topics over time to this file.')
 @click.option('--repair', is_flag=True,
               help='Write the missing index and metadata of a recording that was cut off.')

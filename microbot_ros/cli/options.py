@@ -13,6 +13,37 @@ from microbot_ros.common.plausible import plausible_range
 
 CommandT = TypeVar('CommandT', bound=Callable[..., Any])
 
+class _Path(click.Path):
+    """Type of a path, which is not empty and can become a file or a folder if it is to be one.
+
+    What cannot be written is refused before the work on its content.
+
+    Parameters
+    ----------
+    made : str
+        'file' or 'folder', if the command makes one; '' otherwise.
+    """
+
+    def __init__(self, made: str = '') -> None:
+        super().__init__(path_type=Path)
+        self._made = made
+
+    def convert(self, value: Any, param: click.Parameter | None,
+                ctx: click.Context | None) -> Path:
+        """Convert a value, or fail as click does."""
+        if not str(value):
+            self.fail('expected a path, received nothing', param, ctx)
+        super().convert(value, param, ctx)
+        path = Path(value)
+        if self._made == 'file' and path.is_dir():
+            self.fail(f'expected a file to write, {path} is a folder', param, ctx)
+        if self._made == 'folder' and path.exists() and not path.is_dir():
+            self.fail(f'expected a folder to write to, {path} is a file', param, ctx)
+        return path
+
+
+PATH, NEW_FILE, NEW_FOLDER = _Path(), _Path('file'), _Path('folder')
+
 namespace_option = click.option(
     '--namespace', default='/', show_default=True, metavar='NAME',
     help="ROS namespace of the rig's nodes.")
@@ -39,7 +70,7 @@ def json_option(description: str) -> Callable[[CommandT], CommandT]:
     callable
         Decorator of the command.
     """
-    return click.option('--json', 'json_path', type=click.Path(path_type=Path), help=description)
+    return click.option('--json', 'json_path', type=NEW_FILE, help=description)
 
 
 class FiniteFloatRange(click.FloatRange):

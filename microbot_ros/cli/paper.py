@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from microbot_ros.cli.options import json_option
+from microbot_ros.cli.options import NEW_FOLDER, json_option
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
 @click.command()
-@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+@click.option('--out', type=NEW_FOLDER, required=True, metavar='DIR',
               help='Folder for report.html, summary.json and the figures.')
 @click.option('--repetitions', type=click.IntRange(min=1), default=20, show_default=True,
               help='Number of repetitions of the experiment, each with its own legs and random '

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange, json_option
+from microbot_ros.cli.options import NEW_FILE, PATH, FiniteFloatRange, json_option
 from microbot_ros.common import units
 from microbot_ros.common.errors import InputError
 
@@ -22,7 +22,7 @@ _FARTHEST = 1e6
 
 
 @click.command()
-@click.option('--model', 'model_file', type=click.Path(path_type=Path),
+@click.option('--model', 'model_file', type=PATH,
               help='Model and particles: a model.yaml of `microbot discover`.')
 @click.option('--particle', 'particles', multiple=True, metavar='V_UM_S,PHI_RAD',
               help="Speed and angle of a particle, in place of the model's; repeat for each "
@@ -37,7 +37,7 @@ _FARTHEST = 1e6
               help='Duration of the commands that are tried.')
 @click.option('--field-mt', default=5.0, show_default=True, type=FiniteFloatRange(0.001, 1000),
               help='Largest field.')
-@click.option('--figure', type=click.Path(path_type=Path), help='Draw the result to this PNG '
+@click.option('--figure', type=NEW_FILE, help='Draw the result to this PNG '
                                                                 'or PDF.')
 @json_option('Write all numbers as JSON to this file.')
 def command(model_file: Path | None, particles: tuple[str, ...], places: tuple[str, ...],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from microbot_ros.cli.options import force_option, json_option
+from microbot_ros.cli.options import NEW_FOLDER, PATH, force_option, json_option
 
 if TYPE_CHECKING:
     from microbot_ros.response.plateaus import Against, Definition
@@ -19,8 +19,8 @@ _OUTPUTS = ('response.csv', 'response.json', 'response.parquet', 'response.png',
 
 @click.command()
 @click.argument('sources', metavar='SESSION...|ARCHIVE', nargs=-1, required=True,
-                type=click.Path(path_type=Path))
-@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+                type=PATH)
+@click.option('--out', type=NEW_FOLDER, required=True, metavar='DIR',
               help='Folder for response.csv, .parquet, .json, the figures and the page.')
 @click.option('--against', type=click.Choice(['frequency', 'field', 'tilt']), default='frequency',
               show_default=True, help='Commanded quantity: rotation, field strength, or the '

@@ -7,12 +7,12 @@ from typing import Any
 
 import click
 
-from microbot_ros.cli.options import force_option, json_option
+from microbot_ros.cli.options import NEW_FOLDER, PATH, force_option, json_option
 
 
 @click.command()
-@click.argument('scenario_yaml', metavar='SCENARIO.yaml', type=click.Path(path_type=Path))
-@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='SESSION',
+@click.argument('scenario_yaml', metavar='SCENARIO.yaml', type=PATH)
+@click.option('--out', type=NEW_FOLDER, required=True, metavar='SESSION',
               help='Folder for the session; its truth.yaml lists the simulated parameters.')
 @json_option('Write the truth and the number of rows as JSON to this file.')
 @force_option
@@ -40,11 +40,13 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool)
     )
     from microbot_ros.common.units import exact_display
     from microbot_ros.session import write_session
+    from microbot_ros.session.tables.folder import FILES
     from microbot_ros.virtual_rig.scenario import read_scenario
     from microbot_ros.virtual_rig.simulation import run, strays
 
     scenario, particles = read_scenario(scenario_yaml)
-    refuse_to_overwrite(out, ('tracks.csv', 'commands.csv', 'session.yaml', 'truth.yaml'), force)
+    outputs = *FILES, 'truth.yaml'
+    refuse_to_overwrite(out, outputs, force)
     console = Console(stderr=True, highlight=False)
     with console.status(f'{scenario.physics}: {scenario.duration_s:g} s of '
                         f'{len(particles.ids)} particles'):
@@ -57,7 +59,7 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool)
             for i, speed, phi in zip(particles.ids, particles.speed, particles.phi, strict=True)},
         'effects': scenario.content()['effects'],
     }
-    with output_folder(out) as folder:
+    with output_folder(out, outputs) as folder:
         write_session(folder, session)
         write_text(folder / 'truth.yaml', yaml.safe_dump(truth, sort_keys=False))
     write_json(json_path, truth | {'rows': len(session.tracks.t), 'session': str(out)})

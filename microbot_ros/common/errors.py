@@ -127,3 +127,21 @@ def known(names: Iterable[str], received: str) -> str:
         return f'known are: {", ".join(listed)}'
     nearest = difflib.get_close_matches(clipped(received), listed, n=5, cutoff=0.0)
     return f'nearest of {len(listed)} are: {", ".join(nearest)}'
+
+
+def counted(count: int, what: str) -> str:
+    """Return a number of things in words: '1 robot', '2 robots'.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    what : str
+        One of them.
+
+    Returns
+    -------
+    str
+        The text.
+    """
+    return f'{count} {what}{"" if count == 1 else "s"}'

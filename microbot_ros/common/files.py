@@ -226,18 +226,18 @@ def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None
     folder : Path
         The folder.
     names : iterable of str
-        Names of files.
+        Names of files, or patterns of such names.
     force : bool
         Whether to accept them.
     """
-    there = [name for name in names if (folder / name).exists()]
+    there = [path.name for name in names for path in sorted(folder.glob(name))]
     if there and not force:
         raise InputError(folder, f'expected a folder without {", ".join(there)}; --force replaces '
                                  'these files')
 
 
 @contextmanager
-def output_folder(path: str | Path) -> Iterator[Path]:
+def output_folder(path: str | Path, own: Iterable[str] = ()) -> Iterator[Path]:
     """Context with a folder to fill that gets its name only when everything is written.
 
     Files are written to a hidden sibling. On success they move into `path` one by one, replacing
@@ -247,6 +247,8 @@ def output_folder(path: str | Path) -> Iterator[Path]:
     ----------
     path : str or Path
         The folder.
+    own : iterable of str
+        Names of files that belong to the results: earlier ones that are not replaced are removed.
 
     Yields
     ------
@@ -265,10 +267,13 @@ def output_folder(path: str | Path) -> Iterator[Path]:
     try:
         yield scratch
         path.mkdir(exist_ok=True)
+        stale = {*own} - {item.name for item in scratch.iterdir()}
         for item in sorted(scratch.iterdir()):
             target = path / item.name
             if target.is_dir():
                 shutil.rmtree(target)
             os.replace(item, target)
+        for name in stale:
+            (path / name).unlink(missing_ok=True)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)

@@ -92,6 +92,8 @@ def test_copies_are_done_and_counted_once(laboratory, tmp_path):
     shutil.copytree(laboratory / 'day-0' / 's0', laboratory / 'backup')
     summary, found = run('fit', laboratory, tmp_path / 'out')
     assert (summary.found, summary.done, summary.copies, found['sessions']) == (7, 6, 1, 6)
+    assert {*summary.copy_of, *summary.copy_of.values()} == {
+        'laboratory/backup', 'laboratory/day-0/s0'}
 
 
 def test_what_is_wrong_is_listed_and_stops_nothing(laboratory, tmp_path, serial):
@@ -102,6 +104,7 @@ def test_what_is_wrong_is_listed_and_stops_nothing(laboratory, tmp_path, serial)
     assert found['sessions'] == 5
     assert summary.refused['laboratory/day-0/s0'].startswith('tracks.csv:4: expected a number')
     assert 'laboratory/bad.csv' in summary.refused
+    assert (summary.found, summary.done, len(summary.refused)) == (7, 5, 2)
     assert 'tracks.csv:4' in (tmp_path / 'out' / 'archive.html').read_text()
     assert run('fit', laboratory, tmp_path / 'out')[0].refused == summary.refused
     assert len(serial.done) == 6

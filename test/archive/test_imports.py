@@ -67,7 +67,7 @@ def test_a_folder_becomes_sessions_and_every_table_counts_once(folder, tmp_path)
     done = run(folder, '--out', out, '--json', tmp_path / 'a.json')
     assert done.exception is None
     said, told = done.stdout, done.stderr
-    assert '7 recordings: 5 done, 0 kept from before, 1 tables of averages, 1 refused' in told
+    assert '7 recordings: 5 done, 0 kept from before, 1 with averages only, 1 refused' in told
     assert 'lab/dimers/mute.csv: mute.csv: expected --position-unit' in told
     assert 'other files in the folder have 0.8 µm in 3, 0.4 µm in 1' in told
     assert f'{out}: 5 sessions in {out}/sessions' in said
@@ -86,7 +86,7 @@ def test_a_folder_becomes_sessions_and_every_table_counts_once(folder, tmp_path)
              for one in (out / 'sessions').iterdir()}
     assert kinds == {'dimers', 'spheres'}
     again = run(folder, '--out', out)
-    assert '0 done, 5 kept from before, 1 tables of averages, 1 refused' in again.stderr
+    assert '0 done, 5 kept from before, 1 with averages only, 1 refused' in again.stderr
 
 
 def test_what_archive_yaml_states_of_a_file_counts_before_the_option(folder, tmp_path):

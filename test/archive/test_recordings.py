@@ -108,6 +108,17 @@ def test_a_session_keeps_what_belongs_to_it(laboratory):
     assert {file.name for file in session.files} == {'tracks.csv', 'commands.csv', 'session.yaml'}
 
 
+@pytest.mark.parametrize(('text', 'beside', 'kind'), [
+    (TABLE, (), 'table'), (TABLE, ('session.yaml',), 'session'),
+    ('\ufefft_s, particle,x_um,y_um\n0,0,1,1\n', (), 'session')])
+def test_a_table_of_an_instrument_may_have_the_name_of_a_session(tmp_path, text, beside, kind):
+    for name, content in (('tracks.csv', text), *((name, '') for name in beside)):
+        (tmp_path / name).write_text(content)
+    found, refused = look(tmp_path)
+    assert [one.kind for one in found.values()] == [kind]
+    assert refused == {}
+
+
 def test_an_archive_within_is_not_looked_at_unless_asked_for(shelf):
     (shelf / 'archive' / MARK).mkdir(parents=True)
     (shelf / 'archive' / 'sessions').mkdir()

@@ -162,6 +162,10 @@ OPTIONS: dict[str, list[object]] = {
     'a line in a session': ['fit', 'a\nb', '--out', 'OUT'],
     'no text in a path': ['info', 'a\udcff'],
     'a file for a folder': ['fit', 'SESSION', '--out', 'SESSION/tracks.csv'],
+    'a file for the folder of a search': ['discover', 'SESSION', '--out', 'SESSION/tracks.csv'],
+    'a folder for a file': ['discover', 'SESSION', '--out', 'OUT', '--json', 'SESSION'],
+    'a folder for a film': ['replay', 'SESSION', '--film', 'SESSION'],
+    'no path': ['fit', '', '--out', 'OUT'], 'no folder': ['fit', 'SESSION', '--out', ''],
     'a path through a file': ['fit', 'SESSION', '--out', 'SESSION/tracks.csv/out'],
     'a long name': ['fit', 'SESSION', '--out', 'x' * 300],
 }
@@ -354,8 +358,16 @@ def test_nothing_is_replaced_unless_told(tmp_path, capsys):
     fit = ['fit', tmp_path / 'plain', '--out', tmp_path / 'fit']
     assert microbot(*fit) == 0
     capsys.readouterr()
-    for words, file in ((again, tmp_path / 'plain' / 'tracks.csv'),
-                        (fit, tmp_path / 'fit' / 'fit.json')):
+    for name in ('found', 'tracks'):
+        (tmp_path / name).mkdir()
+    for words, file in (
+            (again, tmp_path / 'plain' / 'tracks.csv'), (fit, tmp_path / 'fit' / 'fit.json'),
+            (['discover', tmp_path / 'plain', '--out', tmp_path / 'found'],
+             tmp_path / 'found' / 'report.html'),
+            (['discover', '--drive', '--out', tmp_path / 'found'],
+             tmp_path / 'found' / 'experiment-2'),
+            (['track', tmp_path, '--out', tmp_path / 'tracks'],
+             tmp_path / 'tracks' / 'learned.yaml')):
         file.write_text('mine')
         assert '--force' in refused(capsys, *words)
         assert file.read_text() == 'mine'

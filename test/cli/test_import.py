@@ -32,7 +32,7 @@ def test_a_table_becomes_a_session_and_says_what_it_assumed(table, tmp_path):
                tmp_path / 'a.json')
     assert 'assumed  lab.csv: decimal commas' in text
     assert 'assumed  y points down' in text
-    assert '1 robots, 9 positions over 0.4 s, 0 commands' in text
+    assert '1 robot, 9 positions over 0.4 s, 0 commands' in text
     session = read_session(tmp_path / 's')
     assert session.tracks.position[2].tolist() == pytest.approx([100.25e-6, -1e-6])
     assert session.conditions.pixel_size == 0.5e-6
@@ -81,3 +81,10 @@ def test_bad_options_are_named_and_nothing_is_written(table, tmp_path, words, sa
     with pytest.raises((InputError, click.BadParameter), match=said):
         run(table, *words, '--out', tmp_path / 's')
     assert sorted(path.name for path in tmp_path.iterdir()) == ['lab.csv']
+
+
+def test_a_column_that_is_named_and_missing_is_no_silent_loss(table, tmp_path):
+    with pytest.raises(InputError, match=r"expected a column 'Angle' \(--column direction\), "
+                                         'found none; known are: t, x, y$'):
+        run(table, '--pixel-size-um', 0.5, '--column', 'direction=Angle', '--out', tmp_path / 's')
+    assert not (tmp_path / 's').exists()

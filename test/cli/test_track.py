@@ -213,3 +213,13 @@ def test_commands_tell_of_turns(tmp_path: Path) -> None:
                     '--no-overlay', '--json', tmp_path / f'{name}.json', *extra) == 0
         tracks[name] = json.loads((tmp_path / f'{name}.json').read_text())['tracks']
     assert tracks['told'] <= 8 < 12 < tracks['untold']
+
+
+def test_what_an_earlier_run_learned_goes_with_its_tracks(images: Path, tmp_path: Path) -> None:
+    for name in ('tracks.csv', 'learned.yaml', 'notes.txt'):
+        (tmp_path / name).write_text('earlier')
+    assert _run(f'{images}/[01].png', '--out', tmp_path, '--no-overlay') == 2
+    assert (tmp_path / 'tracks.csv').read_text() == 'earlier'
+    assert _run(f'{images}/[01].png', '--out', tmp_path, '--no-overlay', '--force') == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        'notes.txt', 'settings.png', 'tracks.csv']

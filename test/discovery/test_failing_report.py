@@ -46,7 +46,7 @@ def test_discover(found, session, tmp_path, capsys):
     (out / 'report.html').write_text('of other results')
     with mock.patch('microbot_ros.discovery.discover.discover', return_value=found), \
             mock.patch(REPORT, side_effect=IndexError('too few')):
-        status = microbot('discover', tmp_path / 'session', '--out', out,
+        status = microbot('discover', tmp_path / 'session', '--out', out, '--force',
                           '--json', tmp_path / 'copy.json')
     _check(out, found, capsys.readouterr(), status)
     assert (tmp_path / 'copy.json').read_text() == (out / 'result.json').read_text()

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from microbot_ros.cli.calibrate.camera import camera
-from microbot_ros.cli.options import json_option
+from microbot_ros.cli.options import NEW_FOLDER, PATH, json_option
 from microbot_ros.common.checked import Settings
 from microbot_ros.magnetics.settings import CoilSettings
 
@@ -45,10 +45,10 @@ command.add_command(camera)
 
 
 @command.command()
-@click.argument('source', metavar='READINGS.csv|SESSION', type=click.Path(path_type=Path))
-@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+@click.argument('source', metavar='READINGS.csv|SESSION', type=PATH)
+@click.option('--out', type=NEW_FOLDER, required=True, metavar='DIR',
               help='Folder for coils.yaml, calibration.json and calibration.png.')
-@click.option('--config', type=click.Path(path_type=Path),
+@click.option('--config', type=PATH,
               help="Coils to start from: a coils.yaml, or the rig's file that names one in "
                    'coil_driver.coils_file. Default: the coils of the default rig.')
 @json_option('Write the result as JSON to this file.')

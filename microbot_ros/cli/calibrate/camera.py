@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from microbot_ros.cli.options import json_option
+from microbot_ros.cli.options import NEW_FOLDER, PATH, json_option
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.plausible import plausible_range
 from microbot_ros.common.units import from_si, to_si
@@ -91,10 +91,10 @@ def _rounded(value: float | None) -> float | None:
 
 
 @click.command('camera')
-@click.argument('session', required=False, type=click.Path(path_type=Path))
-@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+@click.argument('session', required=False, type=PATH)
+@click.option('--out', type=NEW_FOLDER, required=True, metavar='DIR',
               help='Folder for camera.yaml, calibration.json and calibration.png.')
-@click.option('--graticule', type=click.Path(path_type=Path), metavar='PICTURE',
+@click.option('--graticule', type=PATH, metavar='PICTURE',
               help='Picture of a stage micrometer or grating: evenly spaced lines.')
 @click.option('--spacing-um', type=float,
               help='Distance between neighbouring lines of the graticule.')
@@ -107,7 +107,7 @@ def _rounded(value: float | None) -> float | None:
 @click.option('--phi-deg', type=float,
               help='Angle from the field to the motion of every particle, if known (0 for '
                    'rollers); otherwise it is taken as zero on average.')
-@click.option('--config', type=click.Path(path_type=Path),
+@click.option('--config', type=PATH,
               help="Rig's YAML with which SESSION was recorded (else the default tracker).")
 @json_option('Write the result as JSON to this file.')
 def camera(

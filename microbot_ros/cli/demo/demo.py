@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 from microbot_ros.cli.demo.robots import KINDS, Robots
-from microbot_ros.cli.options import FiniteFloatRange, cockpit_option, json_option
+from microbot_ros.cli.options import NEW_FOLDER, FiniteFloatRange, cockpit_option, json_option
 from microbot_ros.cockpit import address
 from microbot_ros.common.ending import Ending, Stopped
 from microbot_ros.common.errors import InputError
@@ -66,7 +66,7 @@ class _Run:
               help='Kind of particles: swimmers that a field turns, or rollers in a rotating '
                    'field.')
 @cockpit_option
-@click.option('--out', type=click.Path(path_type=Path), default=Path('out/demo'),
+@click.option('--out', type=NEW_FOLDER, default=Path('out/demo'),
               show_default=True, help='Folder for the results.')
 @json_option('Write the summary as JSON to this file.')
 def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,

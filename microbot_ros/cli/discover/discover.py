@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange, json_option, namespace_option
+from microbot_ros.cli.options import (
+    NEW_FOLDER,
+    PATH,
+    FiniteFloatRange,
+    force_option,
+    json_option,
+    namespace_option,
+)
 from microbot_ros.common.compiled import tell_of_compiling
 
 if TYPE_CHECKING:
@@ -21,10 +28,13 @@ if TYPE_CHECKING:
     from microbot_ros.nodes.client.live_session_buffer import LiveSessionBuffer
 
 
+_OUTPUTS = ('result.json', 'model.yaml', 'report.html', 'look-*', 'experiment-*')
+
+
 @click.command()
 @click.argument('sessions', metavar='SESSION...', nargs=-1,
-                type=click.Path(path_type=Path))
-@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+                type=PATH)
+@click.option('--out', type=NEW_FOLDER, required=True, metavar='DIR',
               help='Folder for result.json, model.yaml and report.html; with --live, of the '
               'folders look-1, look-2, ... that hold them.')
 @click.option('--jobs', type=click.IntRange(1), default=1, show_default=True, metavar='N',
@@ -43,10 +53,11 @@ if TYPE_CHECKING:
               help='With --drive: time limit.')
 @click.option('--apply', 'apply_', is_flag=True,
               help='With --drive: load the model found into the model node and the controllers.')
+@force_option
 @json_option('Write the content of result.json to this file too.')
 @namespace_option
 def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, seconds: float,
-            rounds: int, drive: bool, minutes: float, apply_: bool,
+            rounds: int, drive: bool, minutes: float, apply_: bool, force: bool,
             json_path: Path | None, namespace: str) -> None:
     """Find where SESSION and the first-order model differ, and name the missing effect.
 
@@ -63,12 +74,14 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
     """
     from rich.console import Console
 
+    from microbot_ros.common.files import refuse_to_overwrite
     from microbot_ros.session import read_session
 
     if bool(sessions) + live + drive != 1:
         raise click.UsageError('expected one of: SESSION..., --live, --drive')
     if apply_ and not drive:
         raise click.UsageError('expected --apply only with --drive')
+    refuse_to_overwrite(out, _OUTPUTS, force)
     progress = Console(stderr=True, highlight=False)
     if live:
         _watch(out, seconds, rounds, jobs, json_path, progress, namespace)

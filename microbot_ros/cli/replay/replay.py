@@ -8,12 +8,12 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange, json_option
+from microbot_ros.cli.options import NEW_FILE, PATH, FiniteFloatRange, json_option
 from microbot_ros.common.errors import InputError
 
 
 @click.command()
-@click.argument('session', type=click.Path(path_type=Path))
+@click.argument('session', type=PATH)
 @click.option('--rate', default=1.0, show_default=True,
               help='Speed relative to real time; 0: as fast as possible.')
 @click.option('--start', default=0.0, show_default=True, help='Start of the playback [s].')
@@ -24,7 +24,7 @@ from microbot_ros.common.errors import InputError
 @click.option('--into-live-rig', is_flag=True,
               help='Play even if nodes of a rig are live: recorded goals and commands then drive '
                    'it.')
-@click.option('--film', type=click.Path(path_type=Path, allow_dash=True), metavar='FILE',
+@click.option('--film', type=NEW_FILE, metavar='FILE',
               help='Draw the recording as an MP4 film, in place of playing it; - is standard '
                    'output.')
 @click.option('--check', is_flag=True,
@@ -36,12 +36,12 @@ from microbot_ros.common.errors import InputError
 @click.option('--tolerance', type=FiniteFloatRange(0, 1), default=0.0, show_default=True,
               help='With --check: largest allowed difference, relative to the largest value of '
                    'the field. Another processor may round differently.')
-@click.option('--config', type=click.Path(path_type=Path),
+@click.option('--config', type=PATH,
               help='With --check: parameters in place of those in the recording.')
-@click.option('--policy', type=click.Path(path_type=Path),
+@click.option('--policy', type=PATH,
               help='With --check: the ONNX network of the controller policy; a network named in a '
                    'recording is not executed.')
-@click.option('--out', type=click.Path(path_type=Path),
+@click.option('--out', type=PATH,
               help="With --check: write the nodes' outputs as a recording.")
 @json_option('With --check: write the differences as JSON to this file.')
 def command(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from microbot_ros.cli.options import json_option
+from microbot_ros.cli.options import PATH, json_option
 from microbot_ros.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class Finding(NamedTuple):
 
 
 @click.command()
-@click.option('--config', type=click.Path(path_type=Path),
+@click.option('--config', type=PATH,
               help='Check this rig too: its parameters, coils, port and camera.')
 @json_option('Write the findings as JSON to this file.')
 def command(config: Path | None, json_path: Path | None) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange
+from microbot_ros.cli.options import NEW_FILE, PATH, FiniteFloatRange
 from microbot_ros.drive.emulator import process
 
 _WATCHDOG_MS = 100.0
@@ -16,9 +16,9 @@ _WATCHDOG_MS = 100.0
 
 @click.command('emulate')
 @click.argument('protocol', type=click.Choice(list(process.DEVICES)))
-@click.option('--link', type=click.Path(path_type=Path), required=True,
+@click.option('--link', type=PATH, required=True,
               help='Path under which a driver opens the line.')
-@click.option('--log', type=click.Path(path_type=Path),
+@click.option('--log', type=NEW_FILE,
               help='File for one line of JSON per change of current.')
 @click.option('--full-scale-A', 'full_scale_a', type=FiniteFloatRange(0, 1000, min_open=True),
               default=1.0, show_default=True, help='Current of a coil at full output.')

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from microbot_ros.cli.options import FiniteFloatRange, namespace_option
+from microbot_ros.cli.options import PATH, FiniteFloatRange, namespace_option
 from microbot_ros.common import units
-from microbot_ros.common.errors import InputError, RigError, shown
+from microbot_ros.common.errors import InputError, RigError, counted, shown
 from microbot_ros.common.plausible import implausible
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ reports five times a second."""
 # Unknown options are positions, which may begin with a minus sign.
 @click.command(context_settings={'ignore_unknown_options': True})
 @click.argument('positions_um', nargs=-1, metavar='[X_UM,Y_UM]...')
-@click.option('--file', type=click.Path(path_type=Path),
+@click.option('--file', type=PATH,
               help='A CSV file with columns x_um,y_um in place of positions; an optional column '
                    'particle assigns each goal.')
 @click.option('--path', 'as_path', is_flag=True, help='The positions are a path to follow, '
@@ -74,7 +74,7 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
         coils = _Coils(client)
         taken = client.send_path(places) if as_path else client.send_goals(places, particles)
         count = len(places)
-        what = f'path of {count} points' if as_path else f'{count} goal{"s" * (count > 1)}'
+        what = f'path of {counted(count, "point")}' if as_path else counted(count, 'goal')
         _refuse(client, 'path' if as_path else 'goals', taken.stamp)
         if seconds is None:
             click.echo(f"{what} accepted by controller '{taken.controller}'")

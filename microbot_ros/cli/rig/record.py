@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.options import namespace_option
+from microbot_ros.cli.options import PATH, namespace_option
 
 
 @click.command()
 @click.option('--stop', is_flag=True, help='End the recording.')
 @click.option('--title', default='', help='Title of the recording, one line.')
 @click.option('--notes', default='', help='Further notes.')
-@click.option('--folder', type=click.Path(path_type=Path),
+@click.option('--folder', type=PATH,
               help='Folder of the recording; default: ./recordings, named by the time.')
 @namespace_option
 def command(stop: bool, title: str, notes: str, folder: Path | None, namespace: str) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.options import cockpit_option, namespace_option
+from microbot_ros.cli.options import PATH, cockpit_option, namespace_option
 from microbot_ros.cockpit import address
 from microbot_ros.common.ending import Ending, Stopped
 from microbot_ros.common.errors import InputError
@@ -18,7 +18,7 @@ from microbot_ros.nodes.client.graph import Graph
 
 
 @click.command()
-@click.option('--config', type=click.Path(path_type=Path), required=True,
+@click.option('--config', type=PATH, required=True,
               help='ROS parameter file with a section per node; see config/rig.yaml.')
 @click.option('--arm', is_flag=True, help='Arm the gate once everything runs.')
 @cockpit_option

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from microbot_ros.cli.options import json_option, plausible_number
+from microbot_ros.cli.options import (
+    NEW_FOLDER,
+    PATH,
+    force_option,
+    json_option,
+    plausible_number,
+)
 from microbot_ros.cli.track.learn import Point, PointType, look, write_learned
 from microbot_ros.common.units import to_si
 
@@ -19,6 +25,8 @@ if TYPE_CHECKING:
     from microbot_ros.tracking.overlay import OverlayVideo
     from microbot_ros.tracking.rows import Rows
 
+_OUTPUTS = ('tracks.csv', 'overlay.mp4', 'settings.png', 'learned.yaml', 'learned.png')
+
 _WHOLE = 0.95
 """Share of the frames in which a particle that lives from start to end is seen. Choice: it may be
 missed now and then; one that leaves for longer is not counted."""
@@ -26,16 +34,16 @@ missed now and then; one that leaves for longer is not counted."""
 
 @click.command()
 @click.argument('source')
-@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+@click.option('--out', type=NEW_FOLDER, required=True, metavar='DIR',
               help='Folder for tracks.csv, overlay.mp4 and settings.png.')
 @click.option('--pixel-size-um', type=plausible_number('pixel_size_um'),
               help='Width of a pixel in the sample; adds t_s, x_um, y_um (y up, origin at the '
               'centre of the image).')
 @click.option('--frame-rate-hz', type=plausible_number('frame_rate_hz'),
               help="Frames per second, of images or in place of a video's own rate.")
-@click.option('--settings', 'settings_path', type=click.Path(path_type=Path), metavar='YAML',
+@click.option('--settings', 'settings_path', type=PATH, metavar='YAML',
               help='Settings of detection and linking; missing ones are chosen automatically.')
-@click.option('--commands', 'commands_path', type=click.Path(path_type=Path), metavar='CSV',
+@click.option('--commands', 'commands_path', type=PATH, metavar='CSV',
               help='Commands that drove the particles, on the clock of the frames (the first '
                    'is at 0): commands.csv of a session. Turns of the field are then '
                    'predicted.')
@@ -46,11 +54,12 @@ missed now and then; one that leaves for longer is not counted."""
 @click.option('--unlike', multiple=True, type=PointType(named=False),
               help='Point at something that is not to be followed.')
 @click.option('--overlay/--no-overlay', default=True, help='Write overlay.mp4.')
+@force_option
 @json_option('Write the result as JSON to this file.')
 def command(
     source: str, out: Path, pixel_size_um: float | None, frame_rate_hz: float | None,
     settings_path: Path | None, commands_path: Path | None, like: tuple[Point, ...],
-    unlike: tuple[Point, ...], overlay: bool, json_path: Path | None,
+    unlike: tuple[Point, ...], overlay: bool, force: bool, json_path: Path | None,
 ) -> None:
     """Track the particles of SOURCE: a video, a folder of images, or a glob (quoted).
 
@@ -70,9 +79,15 @@ def command(
     """
     from rich.console import Console
 
-    from microbot_ros.common.files import output_folder, read_yaml, write_json
+    from microbot_ros.common.files import (
+        output_folder,
+        read_yaml,
+        refuse_to_overwrite,
+        write_json,
+    )
     from microbot_ros.tracking import TrackerSettings
 
+    refuse_to_overwrite(out, _OUTPUTS, force)
     settings = read_yaml(settings_path, TrackerSettings) if settings_path else TrackerSettings()
     commanded = _Commanded(commands_path) if commands_path else None
     console = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -84,7 +99,7 @@ def command(
         console.print(f'microbot track: {sentence}', markup=False)
     if recording.frame_rate is None and pixel_size_um is not None:
         problems.append(f'{source}: no frame rate is known (--frame-rate-hz); t_s counts frames')
-    with output_folder(out) as folder:
+    with output_folder(out, _OUTPUTS) as folder:
         if settings.kinds:
             write_learned(folder, settings, next(recording.frames()).image)
         result = _track(recording, settings, folder, pixel_size_um, commanded, overlay, console,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.common.errors import InputError
+from microbot_ros.common.errors import InputError, known
 from microbot_ros.common.records import Conditions, Session, Tracks
 from microbot_ros.session.spreadsheets.angles import angles
 from microbot_ros.session.spreadsheets.columns import Column, find_columns
@@ -44,6 +44,11 @@ def import_session(path: Path, answers: Answers) -> tuple[Session, list[str]]:
     """
     sheets, told = read_sheets(path)
     said = Assumptions(told)
+    for role, name in answers.columns.items():
+        if not any(name in sheet.names for sheet in sheets):
+            there = {one for sheet in sheets for one in sheet.names if one}
+            raise InputError(path, f"expected a column '{name}' (--column {role}), found none; "
+                                   f'{known(there, name)}')
     parts = [(sheet, find_columns(sheet, answers.columns)) for sheet in sheets]
     robots = [part for part in parts if {'x', 'y'} <= {column.role for column in part[1]}]
     if not robots and (summary := summary_of(parts)):

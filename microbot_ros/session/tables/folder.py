@@ -31,6 +31,9 @@ NOMINAL_FIELD = 1e-3
 Only its direction and frequency are known then.
 """
 
+FILES = ('tracks.csv', 'commands.csv', 'session.yaml')
+"""Files of a session."""
+
 # `sigma_um` and `field_mT` preserve data of recordings; the columns in pixels are for people.
 TRACKS = Layout(
     ('t_s', 'particle', 'x_um', 'y_um'), ('theta_rad', 'sigma_um'),
@@ -178,14 +181,12 @@ def write_session(path: str | Path, session: Session) -> None:
     for name, column in {'theta_rad': tracks.theta, 'sigma_um': tracks.sigma}.items():
         if np.isfinite(column).any():
             table[name] = column
-    with output_folder(path) as folder:
+    with output_folder(path, FILES) as folder:
         write_table(folder / 'tracks.csv', table)
         if len(commands.t):
             write_table(folder / 'commands.csv', _command_columns(session))
         (folder / 'session.yaml').write_text(
             session_text(session), encoding='utf-8')
-    if not len(commands.t):  # those of an earlier session
-        (path / 'commands.csv').unlink(missing_ok=True)
 
 
 def _read_tracks(path: Path) -> Tracks:
