@@ -102,6 +102,13 @@ LOOKS = 4 * MOST
 Choice: twice the number needed to add each effect and to exchange it once.
 """
 
+ALIKE = 0.05
+"""Difference in −2 log likelihood up to which two fits of one model are the same.
+
+Choice: a few times the gain at which a fit ends (`joint.ENOUGH`), and far below what a parameter
+changes.
+"""
+
 REPEATED = 0.02
 """Difference of parameters, relative or as a fraction of their typical size, up to which two
 models with the same effects are the same.
@@ -397,6 +404,56 @@ class Hypotheses:
         return {'': nothing} | result
 
 
+class _Memory:
+    """Candidates beside every fit that a search meets, each fitted once.
+
+    What is left of a model without one of its effects is often a model from before.
+
+    Parameters
+    ----------
+    run : Run
+        Distributes the candidates.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._beside: list[tuple[ModelFit, dict[str, Candidate | None]]] = []
+
+    def candidates(self, fit: ModelFit, names: Iterable[str]) -> tuple[Candidate, ...]:
+        """Return the candidates among `names` beside a `fit`, largest evidence first."""
+        names = list(names)
+        known = next((found for one, found in self._beside if _alike(one, fit)), None)
+        if known is None:
+            known = {}
+            self._beside.append((fit, known))
+        new = [name for name in names if name not in known]
+        fitted = map(Candidate.of, filter(_possible, search(fit, new, self._run)))
+        known |= dict.fromkeys(new) | {one.id: one for one in fitted}
+        found = (known[name] for name in names)
+        return tuple(sorted(filter(None, found), key=lambda one: -one.evidence))
+
+    def others(self, fit: ModelFit, names: Iterable[str] = EFFECTS) -> tuple[Candidate, ...]:
+        """Return the candidates among `names` beside all effects of a `fit`."""
+        present = [effect.id for effect in fit.model.effects]
+        return self.candidates(fit, [name for name in names if name not in present])
+
+    def slots(self, fit: ModelFit) -> tuple[Slot, ...]:
+        """Return the effects of a `fit`, each with its rivals."""
+        present = [effect.id for effect in fit.model.effects]
+        slots = []
+        for name in present:
+            rest = without(fit, name)
+            rivals = self.candidates(rest, [one for one in EFFECTS if one not in present])
+            slots.append(Slot(rest, Candidate.of(compare(fit, rest, name)), rivals))
+        return tuple(slots)
+
+
+def _alike(one: ModelFit, other: ModelFit) -> bool:
+    """Return whether two fits are the same, to the accuracy of a maximum."""
+    return (one.count == other.count and abs(one.cost - other.cost) < ALIKE
+            and _same(one.model, other.model))
+
+
 def fit_first_order(sessions: Sequence[PreparedSession]) -> ModelFit:
     """Return the fit of the first-order model to sessions of one rig.
 
@@ -433,8 +490,9 @@ def add_effects(fit: ModelFit, sessions: Sequence[PreparedSession],
     ModelFit
         Fit with at most MOST effects.
     """
+    memory = _Memory(serially)
     while len(fit.model.effects) < MOST:
-        likely = [one for one in _others(fit, serially, names) if _is_worth_adding(one)]
+        likely = [one for one in memory.others(fit, names) if _is_worth_adding(one)]
         if not likely:
             break
         fit = fit_sessions(likely[0].found.fit.model, sessions)
@@ -472,19 +530,20 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
     Hypotheses
         Current model, rivals and further candidates.
     """
-    known = _search(sessions, taken, FEW, report, run)
-    sessions, known = _uninterrupted(sessions, known, report, run)
+    memory = _Memory(run)
+    known = _search(sessions, taken, FEW, report, memory)
+    sessions, known = _uninterrupted(sessions, known, report, memory)
     plain = _without_memory(known.fit)
     found = unsteady(sessions, plain, known.fit)
     if found is None or _explained_by_term(sessions, plain, known, found[1], report):
         return known if len(known.slots) < FEW else _search(
-            sessions, known.names, MOST, report, run)
+            sessions, known.names, MOST, report, memory)
     report('looking again beside speeds that fluctuate')
-    return _search(found[0], [effect.id for effect in plain.model.effects], MOST, report, run)
+    return _search(found[0], [effect.id for effect in plain.model.effects], MOST, report, memory)
 
 
 def _uninterrupted(sessions: Sequence[PreparedSession], known: Hypotheses,
-                   report: Callable[[str], None], run: Run,
+                   report: Callable[[str], None], memory: _Memory,
                    ) -> tuple[Sequence[PreparedSession], Hypotheses]:
     """Return the sessions without interruptions, and the hypotheses on what is left.
 
@@ -506,7 +565,7 @@ def _uninterrupted(sessions: Sequence[PreparedSession], known: Hypotheses,
     if known.evidence + max(others) > most:
         return sessions, known
     report('looking again without interruptions')
-    return rest, _search(rest, names, FEW, report, run)
+    return rest, _search(rest, names, FEW, report, memory)
 
 
 def _without_memory(fit: ModelFit) -> ModelFit:
@@ -545,19 +604,19 @@ def _explained_by_term(sessions: Sequence[PreparedSession], plain: ModelFit, kno
 
 
 def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int,
-            report: Callable[[str], None], run: Run) -> Hypotheses:
+            report: Callable[[str], None], memory: _Memory) -> Hypotheses:
     """Return the hypotheses on `sessions` with at most `most` effects, as `consider` does."""
     start = fit = fit_first_order(sessions)
     for name in taken:
-        again = [one for one in _candidates(fit, [name], run) if one.evidence > 0]
+        again = [one for one in memory.candidates(fit, [name]) if one.evidence > 0]
         fit = fit_sessions(again[0].found.fit.model, sessions) if again else fit
     looked: list[Hypotheses] = []
     while len(looked) < LOOKS:
         report('looking beside ' + (', '.join(e.id for e in fit.model.effects)
                                     or 'the first-order model'))
-        slots = _slots(fit, run)
+        slots = memory.slots(fit)
         better = _exchange(slots, [one.names for one in looked])
-        more = _others(fit, run) if better is None else ()
+        more = memory.others(fit) if better is None else ()
         looked.append(Hypotheses(start, fit, slots, more))
         if more and len(slots) < most and _is_worth_adding(more[0]):
             better = more[0].found.fit.model
@@ -567,7 +626,7 @@ def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int
         if any(_same(one.fit.model, fit.model) for one in looked):
             break
     known = looked[-1] if better is None else _likeliest(looked)
-    return known if known.more else replace(known, more=_others(known.fit, run))
+    return known if known.more else replace(known, more=memory.others(known.fit))
 
 
 def _likeliest(looked: Sequence[Hypotheses]) -> Hypotheses:
@@ -582,22 +641,6 @@ def _same(one: Model, other: Model) -> bool:
                      for model in (one, other))
     return first.keys() == second.keys() and np.allclose(
         [first[key] for key in second], list(second.values()), rtol=REPEATED, atol=REPEATED)
-
-
-def _others(fit: ModelFit, run: Run, names: Iterable[str] = EFFECTS) -> tuple[Candidate, ...]:
-    """Return the candidates among `names` beside all effects of a `fit`."""
-    present = [effect.id for effect in fit.model.effects]
-    return _candidates(fit, [name for name in names if name not in present], run)
-
-
-def _slots(fit: ModelFit, run: Run) -> tuple[Slot, ...]:
-    present = [effect.id for effect in fit.model.effects]
-    slots = []
-    for name in present:
-        rest = without(fit, name)
-        rivals = _candidates(rest, [other for other in EFFECTS if other not in present], run)
-        slots.append(Slot(rest, Candidate.of(compare(fit, rest, name)), rivals))
-    return tuple(slots)
 
 
 def _exchange(slots: Sequence[Slot], visited: Sequence[tuple[str, ...]]) -> Model | None:
@@ -617,12 +660,6 @@ def _exchange(slots: Sequence[Slot], visited: Sequence[tuple[str, ...]]) -> Mode
                     -LIKELIER if rival.found.shape_seen else -CLEARLY):
                 return model
     return None
-
-
-def _candidates(fit: ModelFit, names: Iterable[str], run: Run) -> tuple[Candidate, ...]:
-    """Return the candidates among `names` beside a `fit`, largest evidence first."""
-    found = (Candidate.of(one) for one in search(fit, names, run) if _possible(one))
-    return tuple(sorted(found, key=lambda one: -one.evidence))
 
 
 def _possible(found: CandidateFit) -> bool:

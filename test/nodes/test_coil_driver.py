@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import time
-from dataclasses import fields, replace
+from dataclasses import fields
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +14,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
-from in_process import FAILSAFE_S
+from in_process import FAILSAFE_S, keep_commands_valid
 from sensor_msgs.msg import JointState, MagneticField, TimeReference
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
@@ -49,9 +49,7 @@ def _command(graph: Any, x: float, y: float, age: float = 0.0) -> None:
 
 
 def _driving(graph: Any, emulator: Any, command_timeout_s: float = FAILSAFE_S) -> None:
-    """By default no command goes stale, however long this process is held up."""
-    gate = graph.nodes['coil_driver']._driver.gate
-    gate.limits = replace(gate.limits, command_timeout_s=command_timeout_s)
+    keep_commands_valid(graph.nodes['coil_driver'], command_timeout_s)
     graph.until(lambda: _arm(graph).success)
     graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
 

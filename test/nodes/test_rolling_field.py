@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import TwistStamped, Vector3Stamped
+from in_process import keep_commands_valid
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
@@ -37,6 +38,7 @@ def graph(emulator: Any, ros: Any, tmp_path: Path) -> Any:
     made = ros({'coil_driver': {'port': emulator.url, 'coils_file': str(coils)}})
     made.due = 0.0
     assert made.add('coil_driver').active
+    keep_commands_valid(made.nodes['coil_driver'])
     made.commands = made.probe.create_publisher(Vector3Stamped, 'field/command', 10)
     made.rotating = made.probe.create_publisher(TwistStamped, 'field/rotating', 10)
     made.until(lambda: made.commands.get_subscription_count() == 1
@@ -112,6 +114,7 @@ def test_a_controller_answers_in_three_axes(emulator: Any, ros: Any, tmp_path: P
     rig = ros({'coil_driver': {'port': emulator.url, 'coils_file': str(coils)},
                'controller': {'manual.field_mT': 3.0, 'manual.gamma_deg': 0.0}})
     driver, controller = rig.add('coil_driver'), rig.add('controller')
+    keep_commands_valid(driver)
     states = rig.probe.create_publisher(PointCloud2, 'model/state', 10)
 
     def see() -> bool:
@@ -128,7 +131,7 @@ def test_a_controller_answers_in_three_axes(emulator: Any, ros: Any, tmp_path: P
     controller.set_parameters([Parameter('manual.frequency_hz', value=HERTZ),
                                Parameter('manual.gamma_deg', value=30.0)])
     begun = time.monotonic()
-    rig.until(lambda: time.monotonic() > begun + 2.0 or see())
+    rig.until(lambda: np.sum(_flowed(emulator)[0] > begun + 0.7) > 40 or see())
     assert driver._driver.gate.fault is None
     t, field = _flowed(emulator)
     field = field[t > begun + 0.7]
