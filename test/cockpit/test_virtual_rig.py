@@ -61,9 +61,9 @@ def test_the_death_of_the_cockpit_harms_nothing(page: Any, virtual: VirtualRig) 
     virtual.signal('cockpit', signal.SIGKILL)
     begin = time.monotonic()
     time.sleep(1.5)
-    after = [one for one in virtual.entries() if one['t_monotonic_s'] > begin]
-    assert len(after) > 10
-    assert all(any(one['currents_A']) for one in after)
+    # Commands that stopped would be zeroed by the gate within 0.1 s, and by the board's watchdog.
+    assert not virtual.zero
+    assert all(any(one['currents_A']) for one in virtual.entries() if one['t_monotonic_s'] > begin)
     assert set(virtual.graph.ended()) == {'cockpit'}
     virtual.restart_cockpit()
 

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from bench._emulator import MEASURED
-from bench._virtual import VirtualAmplifier
+from bench._virtual import VirtualAmplifier, VirtualClock
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.patience import PATIENCE
 from microbot_ros.drive.amplifier import (
+    AGAIN_S,
+    Amplifier,
     Command,
     Swing,
     Watchdog,
@@ -641,3 +643,71 @@ def test_a_device_that_is_too_hot_says_so_until_it_cools(amplifier, device):
 def test_an_answer_comes_in_the_patience_of_the_gate(protocol):
     driver = amplifier_class(protocol)
     assert driver.period_s + driver.reply_s <= 0.2  # `feedback_timeout_ms`, unless it is set
+
+
+# Which reading shows a zero ------------------------------------------------------------------
+
+AGE_S = 0.025
+
+
+class Told(Amplifier):
+    """An amplifier whose readings the test states: how long after the zero each was `since_s`."""
+
+    report_age_s = AGE_S
+
+    def __init__(self):
+        super().__init__('told', FULL_SCALE_A)
+        self.clock = VirtualClock()
+        self.sent, self.arriving = [], []
+
+    def _open(self):
+        raise NotImplementedError
+
+    def _send(self, command):
+        self.sent.append(command)
+
+    def _receive(self, timeout_s):
+        if not self.arriving:
+            self.clock.sleep(timeout_s)
+            return []
+        since_s, currents = self.arriving.pop(0)
+        self.clock.sleep(0.001)
+        return [(self.clock.now(), since_s, np.array(currents))]
+
+    def _zeros(self):
+        return []
+
+
+@pytest.mark.parametrize(('after_s', 'currents', 'again'), [
+    (AGE_S, ZERO, False), (2 * AGE_S, ZERO, False),
+    (0.999 * AGE_S, ZERO, True), (0.0, ZERO, True), (-1.0, ZERO, True),
+    (2 * AGE_S, DRIVING, True), (2 * AGE_S, (math.nan, 0.0, 0.0, 0.0), True),
+])
+def test_a_zero_is_sent_again_until_a_reading_of_after_it_shows_it(after_s, currents, again):
+    amplifier = Told()
+    amplifier.zero()  # one of before shows nothing of the next
+    amplifier.arriving = [(amplifier.clock.now() + AGE_S, ZERO)]
+    amplifier.poll()
+    amplifier.write(DRIVING)
+    amplifier.clock.now_s = 1024.0  # so that the sums below are exact
+    zero = amplifier.zero()
+    amplifier.arriving = [(zero.t_monotonic_s + after_s, currents)]
+    amplifier.clock.sleep(2 * AGAIN_S)
+    sent = len(amplifier.sent)
+    amplifier.poll()
+    assert (len(amplifier.sent) > sent) == again
+
+
+def test_what_waited_on_the_line_before_the_zero_confirms_none():
+    amplifier = Told()
+    now_s = amplifier.clock.now()
+    # It arrives late, and nothing tells that it is old, but that the line was never empty.
+    amplifier.arriving = [(now_s + 1.0 + k, ZERO) for k in range(10_000)]
+    with pytest.raises(NoAnswerError, match='zero'):
+        amplifier._await(amplifier.zero())
+    amplifier.arriving = []
+    zero = amplifier.zero()
+    amplifier.clock.plan(2 * AGE_S, lambda: amplifier.arriving.extend(
+        [(amplifier.clock.now_s, ZERO)]))
+    amplifier._await(zero)
+    assert amplifier.clock.now() - zero.t_monotonic_s < 2 * AGE_S + 2 * AGAIN_S
