@@ -86,8 +86,6 @@ class Summary:
         Recordings that were processed before.
     aside : int
         Recordings of a kind that the task does not process.
-    copies : int
-        Copies of other recordings.
     copy_of : dict of str to str
         Name of the original by name of the copy.
     refused : dict of str to str
@@ -105,7 +103,6 @@ class Summary:
     done: int = 0
     kept: int = 0
     aside: int = 0
-    copies: int = 0
     copy_of: dict[str, str] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
@@ -332,7 +329,6 @@ def _count(archive: Archive, jobs: Sequence[Job], summary: Summary,
     `finished` are the keys of the jobs that this run finished.
     """
     different = {job.key: job for job in jobs}
-    summary.copies = len(jobs) - len(different)
     summary.copy_of = {archive.entries[str(job.path)].name: archive.entries[str(one.path)].name
                        for job in jobs if (one := different[job.key]) is not job}
     for job in different.values():

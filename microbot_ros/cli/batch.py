@@ -213,8 +213,8 @@ def _told(summary: Summary) -> list[str]:
     lines += [f'{name}: a copy of {other}' for name, other in sorted(summary.copy_of.items())]
     parts = [f'{summary.done} done', f'{summary.kept} kept from before']
     parts += [f'{count} {what}' for count, what in (
-        (summary.copies, 'copied from others'), (len(summary.summaries), 'with averages only'),
-        (summary.aside, f'not for {summary.task}'),
+        (len(summary.copy_of), 'copied from others'),
+        (len(summary.summaries), 'with averages only'), (summary.aside, f'not for {summary.task}'),
         (len(summary.refused), 'refused'), (len(summary.failed), 'failed')) if count]
     return [*lines, f'{counted(summary.found, "recording")}: {", ".join(parts)}']
 

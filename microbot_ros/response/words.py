@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from microbot_ros.common.errors import counted
 from microbot_ros.discovery.report.words import number
 from microbot_ros.response.plateaus import SETTLE_S, TURN, Against, Measured
 from microbot_ros.response.result import Group, Response, Unlike
@@ -36,8 +37,8 @@ def summary(found: Response) -> str:
 def _of_kind(found: Response, group: Group) -> str:
     _, factor, unit = COLUMNS[found.against]
     first, last = group.common[0], group.common[-1]
-    who = f'{group.kind}, {len(group.robots)}' if group.kind else f'{len(group.robots)}'
-    said = f'{who} robot{"" if len(group.robots) == 1 else "s"}: '
+    who = counted(len(group.robots), 'robot')
+    said = f'{group.kind}, {who}: ' if group.kind else f'{who}: '
     if len(group.common) == 1:
         return f'{said}{_speed(first.speed.value)} µm/s at {first.level * factor:.4g} {unit}'
     ends = (f'{_speed(one.speed.value)} µm/s at {one.level * factor:.4g} {unit}'

@@ -68,19 +68,31 @@ def test_discover_live_publishes_the_verdict_and_goes_on(found, session, tmp_pat
     _check(tmp_path / 'look-2', found, capsys.readouterr(), status)
 
 
-def test_discover_drive_applies_the_model_all_the_same(found, session, tmp_path, capsys):
-    named = replace(found, model=found.model.with_effect(UniformDrift(1e-7, 0.0)))
-    driven = Driven([session], decided='settled')
-    given = mock.Mock(return_value='')
-    drive = 'microbot_ros.discovery.driven'
-    client = 'microbot_ros.nodes.client'
+@pytest.fixture(name='rig')
+def rig_fixture():
+    """Answers in place of a rig's; a function that lets its drive end so."""
+    client, driven = 'microbot_ros.nodes.client', 'microbot_ros.discovery.driven.drive.drive'
     with mock.patch(f'{client}.graph_client.GraphClient', return_value=nullcontext()), \
             mock.patch(f'{client}.driven_rig.DrivenRig'), \
-            mock.patch('microbot_ros.common.ending.Ending'), \
-            mock.patch(f'{drive}.drive.drive', return_value=driven), \
-            mock.patch(f'{drive}.conclusion.discovered', return_value=(named, session)), \
+            mock.patch('microbot_ros.common.ending.Ending'), mock.patch(driven) as drive:
+        yield lambda ended: drive.configure_mock(return_value=ended)
+
+
+def test_discover_drive_applies_the_model_all_the_same(rig, found, session, tmp_path, capsys):
+    named = replace(found, model=found.model.with_effect(UniformDrift(1e-7, 0.0)))
+    rig(Driven([session], decided='settled'))
+    given = mock.Mock(return_value='')
+    with mock.patch('microbot_ros.discovery.driven.conclusion.discovered',
+                    return_value=(named, session)), \
             mock.patch('microbot_ros.cli.discover.drive._give', given), \
             mock.patch(REPORT, side_effect=IndexError('too few')):
         status = microbot('discover', '--drive', '--apply', '--out', tmp_path)
     given.assert_called_once()
     _check(tmp_path, found, capsys.readouterr(), status)
+
+
+def test_discover_drive_that_learns_nothing_leaves_no_earlier_model(rig, session, tmp_path):
+    rig(Driven([session]))
+    (tmp_path / 'model.yaml').write_text('of another search')
+    assert microbot('discover', '--drive', '--force', '--out', tmp_path) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ['result.json']

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from microbot_ros.cli.discover.drive import FILES, drive_rig
 from microbot_ros.cli.options import (
     NEW_FOLDER,
     PATH,
@@ -26,9 +27,6 @@ if TYPE_CHECKING:
     from microbot_ros.discovery.result import Discovery
     from microbot_ros.nodes.client.graph_client import GraphClient
     from microbot_ros.nodes.client.live_session_buffer import LiveSessionBuffer
-
-
-_OUTPUTS = ('result.json', 'model.yaml', 'report.html', 'look-*', 'experiment-*')
 
 
 @click.command()
@@ -81,14 +79,12 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
         raise click.UsageError('expected one of: SESSION..., --live, --drive')
     if apply_ and not drive:
         raise click.UsageError('expected --apply only with --drive')
-    refuse_to_overwrite(out, _OUTPUTS, force)
+    refuse_to_overwrite(out, (*FILES, 'look-*', 'experiment-*'), force)
     progress = Console(stderr=True, highlight=False)
     if live:
         _watch(out, seconds, rounds, jobs, json_path, progress, namespace)
         return
     if drive:
-        from microbot_ros.cli.discover.drive import drive_rig
-
         tell_of_compiling(partial(progress.print, soft_wrap=True))
         drive_rig(out, minutes, apply_, json_path, progress, namespace)
         return
@@ -112,7 +108,7 @@ def _discover(recordings: Sequence[Session], out: Path, jobs: int, json_path: Pa
     with progress.status('looking') as status:
         found = discover(recordings, status.update, jobs=jobs)
     content = found.as_json()
-    with output_folder(out) as folder:
+    with output_folder(out, FILES) as folder:
         write_json(folder / 'result.json', content)
         write_model(folder / 'model.yaml', found.model, found.particles)
     write_json(json_path, content)

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from microbot_ros.discovery.result import Discovery
     from microbot_ros.nodes.client.graph_client import GraphClient
 
+FILES = ('result.json', 'model.yaml', 'report.html')
+"""Files of every result."""
+
 CONTROLLER, APPROACH, JUDGED = 'waypoint', 6.0, 10.0
 """Controller that holds a particle to evaluate a model; times [s] to reach the place, and of the
 evaluation. Choice: half is noisier, twice keeps the rig for longer."""
@@ -98,7 +101,7 @@ def _write(driven: Driven, out: Path, json_path: Path | None, progress: Console)
         result = discovered(driven, status.update)
     found = {} if result is None else result[0].as_json()
     content = found | as_json(driven)
-    with output_folder(out) as folder:
+    with output_folder(out, FILES) as folder:
         write_json(folder / 'result.json', content)
         if result is not None:
             write_model(folder / 'model.yaml', result[0].model, result[0].particles)

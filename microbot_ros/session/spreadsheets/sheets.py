@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from microbot_ros.common.errors import InputError
+from microbot_ros.common.errors import InputError, counted
 
 _SPREADSHEETS = ('.xlsx', '.xlsm')
 _TEXTS = ('.csv', '.tsv', '.txt', '.dat')
@@ -93,7 +93,7 @@ class Assumptions(list[str]):
         if sheet not in sheets:
             sheets.append(sheet)
         more = len(sheets) - 1
-        first = sheets[0] if not more else f'{sheets[0]} and {more} more sheet{"s" * (more > 1)}'
+        first = sheets[0] if not more else f'{sheets[0]} and {counted(more, "more sheet")}'
         self[place:place + 1] = [f'{first}: {sentence}']
 
 

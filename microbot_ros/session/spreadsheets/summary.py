@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from microbot_ros.common.errors import InputError
+from microbot_ros.common.errors import InputError, counted
 from microbot_ros.session.spreadsheets.columns import Column
 from microbot_ros.session.spreadsheets.sheets import Sheet
 
@@ -47,8 +47,7 @@ def summary_of(parts: Sequence[tuple[Sheet, list[Column]]]) -> str:
         levels = sheet.witness(against.index)
         once = len(set(levels.tolist())) == len(levels)
         if results and (once or (averages and 'particle' in roles)):
-            count = f'{len(results)} column{"s" * (len(results) > 1)}'
-            return (f"a summary of {count} of averages against '{sheet.names[against.index]}' and "
-                    'no recording; microbot response --definition tables computes such a table '
-                    'from recordings')
+            return (f"a summary of {counted(len(results), 'column')} of averages against "
+                    f"'{sheet.names[against.index]}' and no recording; microbot response "
+                    '--definition tables computes such a table from recordings')
     return ''
