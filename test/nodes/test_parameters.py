@@ -105,6 +105,11 @@ def test_overrides_arrive_in_the_type_that_is_meant(node: rclpy.node.Node) -> No
     assert (values.rate_hz, values.angles_rad) == (50.0, [1.0, 2.0])
 
 
+@pytest.mark.parametrize('node', [['angles_rad:=[]']], indirect=True)
+def test_an_empty_list_is_one(node: rclpy.node.Node) -> None:
+    assert ParameterSet(node, Sample).values.angles_rad == []
+
+
 @pytest.mark.parametrize('node', [['rate_hz:=500.0']], indirect=True)
 def test_an_override_out_of_range_is_one_clear_line(node: rclpy.node.Node) -> None:
     with pytest.raises(InputError, match=r'rate_hz must be 1 to 200 Hz; received 500'):

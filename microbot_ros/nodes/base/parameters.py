@@ -72,6 +72,8 @@ class ParameterSet(Generic[ValuesT]):
             override = node._parameter_overrides.get(prefix + name)
             # Checked before rclpy does, whose exceptions name neither unit nor range.
             value = default if override is None else override.value
+            if value is None and isinstance(default, list):
+                value = []  # what rcl makes of an empty list, which has no type
             initial[name] = self._converted(node, name, value)
             node.declare_parameter(prefix + name, initial[name], _descriptor(kind, name, default),
                                    ignore_override=True)
