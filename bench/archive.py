@@ -21,8 +21,8 @@ from bench._kept import run_kept
 from bench.figure import FULL, Figure, sized
 from microbot_ros.archive import Progress, conclude, read_table, run_batch
 from microbot_ros.archive.cluster import ClusterError
+from microbot_ros.archive.conclusions.recurring import recurring_effects
 from microbot_ros.archive.measure import measure
-from microbot_ros.archive.recurring import recurring_effects
 from microbot_ros.archive.work import Task
 from microbot_ros.discovery.discover import discover
 from microbot_ros.estimation.batch import fit

@@ -22,17 +22,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from microbot_ros.archive.batch import Progress, Summary, run_batch
-    from microbot_ros.archive.conclusions import Conclusions, conclude
-    from microbot_ros.archive.random_effects import Spread, spread
-    from microbot_ros.archive.recurring import Recurring
+    from microbot_ros.archive.conclusions.conclude import Conclusions, conclude
+    from microbot_ros.archive.conclusions.random_effects import Spread, spread
+    from microbot_ros.archive.conclusions.recurring import Recurring
     from microbot_ros.archive.store import Archive
     from microbot_ros.archive.table import read_table
 
 _FROM = {
-    'Archive': 'store', 'Conclusions': 'conclusions', 'Progress': 'batch',
-    'Recurring': 'recurring', 'Spread': 'random_effects', 'Summary': 'batch',
-    'conclude': 'conclusions', 'read_table': 'table', 'run_batch': 'batch',
-    'spread': 'random_effects'}
+    'Archive': 'store', 'Conclusions': 'conclusions.conclude', 'Progress': 'batch',
+    'Recurring': 'conclusions.recurring', 'Spread': 'conclusions.random_effects',
+    'Summary': 'batch', 'conclude': 'conclusions.conclude', 'read_table': 'table',
+    'run_batch': 'batch', 'spread': 'conclusions.random_effects'}
 
 __all__ = [
     'Archive', 'Conclusions', 'Progress', 'Recurring', 'Spread', 'Summary', 'conclude',

@@ -190,7 +190,7 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
 def _load_ahead() -> None:
     """Import the modules of `_conclude` while the workers work, which takes seconds."""
     with suppress(ImportError):  # reported where it is used
-        importlib.import_module('microbot_ros.archive.report')
+        importlib.import_module('microbot_ros.archive.conclusions.report')
         importlib.import_module('pyarrow')
 
 
@@ -199,8 +199,8 @@ def _conclude(archive: Archive, summary: Summary) -> dict[str, Any]:
 
     If the report fails, the summary contains the reason.
     """
-    from microbot_ros.archive.conclusions import conclude
-    from microbot_ros.archive.report import write_report
+    from microbot_ros.archive.conclusions.conclude import conclude
+    from microbot_ros.archive.conclusions.report import write_report
     from microbot_ros.archive.table import write_table
 
     found = conclude(archive)
@@ -215,7 +215,11 @@ def _conclude(archive: Archive, summary: Summary) -> dict[str, Any]:
 
 def _measurements(archive: Archive, settings: dict[str, Any]) -> list[Job]:
     """Return the jobs that measure all recurring effects in each explained session."""
-    from microbot_ros.archive.recurring import candidates_for_all, common_reference, is_complete
+    from microbot_ros.archive.conclusions.recurring import (
+        candidates_for_all,
+        common_reference,
+        is_complete,
+    )
 
     discovered = archive.results('discover')
     effects = candidates_for_all(discovered)

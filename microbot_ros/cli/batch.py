@@ -188,7 +188,7 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
 
 def _assumed(imported: dict[str, Any]) -> list[str]:
     """Return a line for each assumption, with the recordings that it was made for."""
-    from microbot_ros.archive.conclusions import listed
+    from microbot_ros.archive.conclusions.conclude import listed
 
     lines = []
     for one in imported['assumed']:

@@ -8,7 +8,7 @@ from itertools import groupby
 
 import numpy as np
 
-from microbot_ros.archive.random_effects import spread
+from microbot_ros.archive.conclusions.random_effects import spread
 from microbot_ros.common.records import Session
 from microbot_ros.response.curve import DriveCurve, fit_curve
 from microbot_ros.response.plateaus import (

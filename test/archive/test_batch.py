@@ -274,7 +274,8 @@ def test_a_report_that_fails_leaves_the_table_and_is_tried_again(laboratory, tmp
     out, told = tmp_path / 'out', tmp_path / 'told.json'
     out.mkdir()
     (out / 'archive.html').write_text('of other results')
-    with mock.patch('microbot_ros.archive.report.page', side_effect=ValueError('no\nφ')):
+    with mock.patch('microbot_ros.archive.conclusions.report.page',
+                    side_effect=ValueError('no\nφ')):
         assert microbot('batch', 'fit', laboratory, '--out', out, '--json', told) == 1
     said = capsys.readouterr()
     assert 'archive.html: not written, ValueError: no' in said.err.splitlines()[-1]

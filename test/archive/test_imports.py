@@ -14,12 +14,12 @@ from matplotlib.collections import PolyCollection
 
 from microbot_ros import cli
 from microbot_ros.archive import Archive, conclude
+from microbot_ros.archive.conclusions.quantities import of_sessions, unlike_the_others
+from microbot_ros.archive.conclusions.recurring import Recurring
+from microbot_ros.archive.conclusions.report import draw_quantities, page
 from microbot_ros.archive.imports import imported
 from microbot_ros.archive.labels import labels_of, own_answers, stated
-from microbot_ros.archive.quantities import of_sessions, unlike_the_others
 from microbot_ros.archive.recordings import Found
-from microbot_ros.archive.recurring import Recurring
-from microbot_ros.archive.report import draw_quantities, page
 from microbot_ros.common.errors import InputError
 from microbot_ros.session import read_session
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from microbot_ros.archive.random_effects import spread, trend, unlike
+from microbot_ros.archive.conclusions.random_effects import spread, trend, unlike
 
 # Colditz et al. 1994, BCG vaccine against tuberculosis: cases and others, vaccinated and not. What
 # metafor makes of it is in every textbook (Viechtbauer 2010).

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from microbot_ros.archive.recurring import (
+from microbot_ros.archive.conclusions.recurring import (
     candidates_for_all,
     common_reference,
     proxies,

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.special import bdtrc, chdtri
 
-from microbot_ros.archive.random_effects import Spread, spread
+from microbot_ros.archive.conclusions.random_effects import Spread, spread
 from microbot_ros.common.units import bare, symbol
 from microbot_ros.discovery.report.words import listed
 from microbot_ros.model.effects import EFFECTS

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.archive.random_effects import Spread, Trend, spread, trend, unlike
+from microbot_ros.archive.conclusions.random_effects import Spread, Trend, spread, trend, unlike
 from microbot_ros.common.units import bare, symbol
 
 NAMES = {'v_um_s': 'v', 'gain_um_s_hz': 'gain', 'phi_rad': 'φ', 'diffusion_um2_s': 'D',

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.archive.imports import imported
-from microbot_ros.archive.quantities import (
+from microbot_ros.archive.conclusions.quantities import (
     LABELS,
     NAMES,
     Quantity,
@@ -21,8 +20,9 @@ from microbot_ros.archive.quantities import (
     quantities,
     unlike_the_others,
 )
-from microbot_ros.archive.random_effects import Spread, Trend
-from microbot_ros.archive.recurring import Recurring, proxies, recurring_effects
+from microbot_ros.archive.conclusions.random_effects import Spread, Trend
+from microbot_ros.archive.conclusions.recurring import Recurring, proxies, recurring_effects
+from microbot_ros.archive.imports import imported
 from microbot_ros.archive.store import Archive
 from microbot_ros.archive.table import rows
 

@@ -13,9 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from microbot_ros.archive.conclusions import Conclusions, listed, refused
-from microbot_ros.archive.quantities import LABELS, Quantity
-from microbot_ros.archive.random_effects import Spread
+from microbot_ros.archive.conclusions.conclude import Conclusions, listed, refused
+from microbot_ros.archive.conclusions.quantities import LABELS, Quantity
+from microbot_ros.archive.conclusions.random_effects import Spread
 from microbot_ros.archive.store import REPORT, Archive
 from microbot_ros.common.files import write_text
 from microbot_ros.discovery.report import words as report_words

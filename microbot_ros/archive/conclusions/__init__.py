@@ -1,0 +1,1 @@
+"""What an archive says as a whole: spread, trends, recurring effects, report."""
