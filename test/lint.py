@@ -285,7 +285,7 @@ def circle(graph):
 
 def unshared():
     """Files that import numba at once, not by `compiled.load`, or without the cache of ours."""
-    for name in FILES.keys() - {'microbot_ros.common.compiled_cache'}:
+    for name in FILES.keys() - {'microbot_ros.common.compiled.cache'}:
         text = FILES[name].read_text(encoding='utf-8')
         for node in ast.walk(ast.parse(text)) if 'numba' in text else ():
             if isinstance(node, ast.Import):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import microbot_ros
 from made.text import MADE, table
-from microbot_ros.common.faults import catalogue
+from microbot_ros.cockpit.faults import catalogue
 from microbot_ros.control import contract, deadline_worker
 from microbot_ros.control.contract import Result
 from microbot_ros.drive import errors

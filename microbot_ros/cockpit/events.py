@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-from microbot_ros.common.faults import remedy
+from microbot_ros.cockpit.faults import remedy
 
 KEPT = 1000
 """Events that are kept. Choice: a day of an operator's work; 1000 of them are 0.2 MB."""

@@ -87,7 +87,7 @@ def compile_all(folder: Path) -> None:
 
 def main() -> None:
     """Compile, unless these sources were compiled before."""
-    from microbot_ros.common.compiled_cache import digest
+    from microbot_ros.common.compiled.cache import digest
 
     digests = [digest(file) for file in sources()]
     done = CACHE / f'all-{hashlib.sha256("".join(digests).encode()).hexdigest()[:16]}'

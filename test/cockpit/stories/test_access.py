@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from session.recordings import record, small_session
 
-from microbot_ros.common.faults import catalogue
+from microbot_ros.cockpit.faults import catalogue
 
 pytestmark = pytest.mark.rig
 

@@ -95,14 +95,14 @@ def load() -> None:
     with _lock:
         if not _new:
             return
-        from microbot_ros.common import compiled_cache
+        from microbot_ros.common.compiled import cache
 
         if not _loaded:
-            compiled_cache.install(_about_to_compile)
+            cache.install(_about_to_compile)
             _loaded = True
         made, _new[:] = _new[:], []
-        module = compiled_cache.numba
-        with compiled_cache.global_compiler_lock:  # no thread compiles before all are replaced
+        module = cache.numba
+        with cache.global_compiler_lock:  # no thread compiles before all are replaced
             for one in made:
                 one.dispatcher = module.njit(**one.options)(one.function)
             for names in {id(one.function.__globals__): one.function.__globals__

@@ -57,7 +57,7 @@ class _OneAtATime(caching.IndexDataCacheFile):
             yield
 
 
-_PACKAGE = Path(__file__).parents[1]  # the package's own folder
+_PACKAGE = Path(__file__).parents[2]  # the package's own folder
 _IMPORTED = re.compile(
     rb'^\s*(?:from|import) microbot_ros(\.[\w.]+)?(?: import (\([^)]*|.*))?', re.MULTILINE)
 
