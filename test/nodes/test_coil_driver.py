@@ -20,6 +20,7 @@ from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
 
 from microbot_ros.common.settings import about
+from microbot_ros.drive.amplifier import Counters
 from microbot_ros.drive.coil_driver import STOPPED, Zero
 from microbot_ros.drive.gate import Fault
 from microbot_ros.nodes.base import messages
@@ -85,6 +86,7 @@ def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None
     assert told['self_check'] == 'passed, gains 1.00, 1.00, 1.00, 1.00'
     assert told['watchdog'].startswith('in the firmware, zeroed after ')
     assert told['latency_ms'] == pytest.approx(1e3 * graph.nodes['coil_driver']._latency)
+    assert 0 < told['latency_ms'] < 1e3 * FAILSAFE_S
 
 
 @pytest.mark.parametrize('board_turns', [False, True])
@@ -149,7 +151,9 @@ def test_silence_and_stale_stamps_end_in_zero(emulator: Any, ros: Any, age: floa
         return bool(emulator.zero)
     graph.until(no_command_of_now)
     assert graph.nodes['coil_driver']._refused > 0
-    assert 'command ignored' in graph.nodes['coil_driver']._complaint
+    complaint = graph.nodes['coil_driver']._complaint
+    assert 'command ignored' in complaint
+    assert ' is -' not in complaint
 
 
 @pytest.mark.parametrize('leave', ['deactivate', 'shutdown', 'exception'])
@@ -299,6 +303,52 @@ def test_who_commands_is_looked_at_again_once_armed(
                         lambda _: armed.append(driver._driver.gate.armed))
     graph.until(lambda: _arm(graph).success)
     assert armed == [True]
+
+
+def test_what_is_told_of_the_coils_is_what_the_driver_says(
+        emulator: Any, ros: Any, monkeypatch: Any) -> None:
+    node = _start(emulator, ros).nodes['coil_driver']
+    gate = SimpleNamespace(fault=None, armed=False, holding=False, heat=(0.5, 0.25))
+    amplifier = SimpleNamespace(unreachable=(), reads_back=True, counters=Counters())
+    driver = SimpleNamespace(
+        gate=gate, amplifier=amplifier, zero=Zero.SENT, zero_overdue=False, connected=True,
+        arming=False, warning='', watchdog_s=0.1, gains=None, real_time='')
+    with monkeypatch.context() as patched:
+        patched.setattr(node, '_driver', driver)
+        level, sentence, values = node.health()
+        assert (level, sentence) == (b'\x00', 'disarmed; zero sent, not confirmed')
+        assert values['hottest_coil_percent'] == 50.0
+        assert values['watchdog'] == 'in the firmware, zeroed after 100 ms'
+        driver.zero_overdue = True
+        assert node.health()[0] == b'\x02'
+        gate.armed = True
+        assert node.health()[:2] == (b'\x00', 'driving')
+        driver.warning = 'a watchdog is missing'
+        assert node.health()[:2] == (b'\x00', 'driving; a watchdog is missing')
+        assert f': {emulator.url}; ' in node._zero_sentence(Zero.UNREACHABLE)
+        amplifier.unreachable = ('/dev/a', '/dev/b')
+        assert ': /dev/a, /dev/b; ' in node._zero_sentence(Zero.UNREACHABLE)
+
+
+@pytest.mark.parametrize(('zero', 'reads_back', 'success'), [
+    (Zero.CONFIRMED, True, True), (Zero.SENT, True, False), (Zero.SENT, False, True),
+    (Zero.UNREACHABLE, True, False), (Zero.UNREACHABLE, False, False)])
+def test_disarming_succeeds_where_the_zero_is_as_sure_as_it_can_be(
+        emulator: Any, ros: Any, monkeypatch: Any, zero: Zero, reads_back: bool, success: bool,
+) -> None:
+    node = _start(emulator, ros).nodes['coil_driver']
+    with monkeypatch.context() as patched:
+        patched.setattr(node._driver, 'await_zero', lambda _: zero)
+        patched.setattr(node._driver.amplifier, 'reads_back', reads_back)
+        answer = node._on_arm(SetBool.Request(data=False), SetBool.Response(), None)
+    assert (answer.success, answer.message.startswith(zero)) == (success, True)
+
+
+def test_a_node_that_is_not_active_cannot_be_armed(emulator: Any, ros: Any) -> None:
+    node = _start(emulator, ros).nodes['coil_driver']
+    node.trigger_deactivate()
+    answer = node._on_arm(SetBool.Request(data=True), SetBool.Response(), node._driver.epoch)
+    assert (answer.success, answer.message) == (False, 'the node is not active')
 
 
 def test_every_parameter_of_the_driver_is_fixed_at_start_up() -> None:

@@ -1,7 +1,7 @@
 // What the nodes say of themselves, in their sentences; what is not well comes first.
 
-import { byId, keyed, make, setText } from './dom.js';
-import { remedy } from './messages.js';
+import { byId, keyed, make, setText } from '../dom.js';
+import { remedy } from '../messages.js';
 
 const LEVELS = { error: '✕ error', stale: '… silent', warn: '! warning', ok: '✓ well' };
 

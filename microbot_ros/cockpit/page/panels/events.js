@@ -1,7 +1,7 @@
 // What happened since the cockpit's node began: when, from which page or node, in whole sentences.
 
-import { byId, keyed, make } from './dom.js';
-import { MARKS, remedy } from './messages.js';
+import { byId, keyed, make } from '../dom.js';
+import { MARKS, remedy } from '../messages.js';
 
 export function eventsPanel(link) {
   let kept = [];

@@ -1,8 +1,8 @@
 // The line that is always in view: state of the rig, ages, recording, control, link.
 
-import { byId, setText } from './dom.js';
-import { age, clock, withUnit } from './numbers.js';
-import { ZERO } from './stop.js';
+import { byId, setText } from '../dom.js';
+import { age, clock, withUnit } from '../numbers.js';
+import { ZERO } from '../input/stop.js';
 
 const CHIPS = { armed: '◆ armed', disarmed: '◇ disarmed', fault: '✕ fault', unknown: '? unknown' };
 

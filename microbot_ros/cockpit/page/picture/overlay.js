@@ -1,7 +1,7 @@
 // What is drawn over the picture: learned terms, trails, path, goals, rings, the drawing hand.
 
-import { byId, keyed, makeSvg, setText } from './dom.js';
-import { known } from './numbers.js';
+import { byId, keyed, makeSvg, setText } from '../dom.js';
+import { known } from '../numbers.js';
 
 const RING = 11;
 const HEADING = 24;

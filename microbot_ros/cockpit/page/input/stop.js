@@ -1,8 +1,8 @@
 // STOP: by its button, Esc or a pad's button; from any page, with no question. It is sent again
 // until the driver says that the zero is confirmed, or sent where the amplifier reads nothing back.
 
-import { byId, setText } from './dom.js';
-import { say } from './messages.js';
+import { byId, setText } from '../dom.js';
+import { say } from '../messages.js';
 
 const BY_HAND = 'Switch the amplifier off by hand.';
 const SLOW_MS = 500;

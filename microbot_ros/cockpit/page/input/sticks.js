@@ -4,7 +4,7 @@
 // A source has `value()` → [right, up] on the screen, each −1…1, and `forget()`, after which its
 // value is 0, 0 until it was let go and is pressed anew.
 
-import { byId } from './dom.js';
+import { byId } from '../dom.js';
 
 const PERIOD_MS = 50;
 // A page that was frozen wakes up with what was held then. Sooner than `joy_timeout_ms` (250): what

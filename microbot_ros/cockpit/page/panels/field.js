@@ -1,8 +1,8 @@
 // The field at the workspace centre: wanted, applied, measured, as numbers and as arrows.
 
-import { byId, make, makeSvg, setText } from './dom.js';
-import { fixed, known } from './numbers.js';
-import { arrow } from './overlay.js';
+import { byId, make, makeSvg, setText } from '../dom.js';
+import { fixed, known } from '../numbers.js';
+import { arrow } from '../picture/overlay.js';
 
 const KINDS = { wanted: 'wanted_mT', applied: 'applied_mT', measured: 'measured_mT' };
 const RADIUS = 88;

@@ -1,6 +1,6 @@
 // A quantity and its ± σ over the last minute, drawn by uPlot.
 
-import { known } from './numbers.js';
+import { known } from '../numbers.js';
 
 const SPAN_S = 60;
 const HEIGHT = 120;

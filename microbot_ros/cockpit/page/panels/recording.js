@@ -1,8 +1,8 @@
 // Recording, with a title, and notes while it runs; the recordings there are.
 
-import { byId, keyed, make, setText } from './dom.js';
-import { order } from './messages.js';
-import { clock, withUnit } from './numbers.js';
+import { byId, keyed, make, setText } from '../dom.js';
+import { order } from '../messages.js';
+import { clock, withUnit } from '../numbers.js';
 
 export function recordingPanel(link) {
   let on = false;

@@ -1,8 +1,8 @@
 // The controller: which one, and its parameters as their descriptors say.
 
-import { byId, keyed, make, offer, setText, words } from './dom.js';
-import { order } from './messages.js';
-import { fixed, known } from './numbers.js';
+import { byId, keyed, make, offer, setText, words } from '../dom.js';
+import { order } from '../messages.js';
+import { fixed, known } from '../numbers.js';
 
 // As a limit it means none.
 const LARGEST = 2 ** 31 - 1;

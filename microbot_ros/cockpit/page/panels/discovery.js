@@ -1,9 +1,9 @@
 // The search for what the model lacks: what it found, how sure it is, what it does next.
 
-import { byId, keyed, make, setText, words } from './dom.js';
+import { byId, keyed, make, setText, words } from '../dom.js';
 import { readings } from './estimates.js';
-import { order } from './messages.js';
-import { clock, known, measured, withUnit } from './numbers.js';
+import { order } from '../messages.js';
+import { clock, known, measured, withUnit } from '../numbers.js';
 
 const VERDICTS = {
   consistent: 'Consistent: no effect was found.', named: 'Named.', unnamed: 'Unnamed: an effect is missing that is not in the library.',

@@ -1,7 +1,7 @@
 // How the picture is looked at, by everybody: zoom, contrast, layers, a scale bar, the cursor in µm.
 
-import { byId, make, setText } from './dom.js';
-import { known } from './numbers.js';
+import { byId, make, setText } from '../dom.js';
+import { known } from '../numbers.js';
 
 const LAYERS = ['rings', 'ids', 'headings', 'trails', 'goals', 'path', 'flow'];
 const LENGTHS_UM = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];

@@ -1,8 +1,8 @@
 // v and φ of the chosen particle, with their uncertainty, as numbers and curves.
 
 import { Curve } from './curves.js';
-import { byId, keyed, make, offer, setText } from './dom.js';
-import { known, measured } from './numbers.js';
+import { byId, keyed, make, offer, setText } from '../dom.js';
+import { known, measured } from '../numbers.js';
 
 const EVERY_S = 0.25;
 const KEPT = 240;

@@ -1,7 +1,7 @@
 // Arming: the button held by a pointer for one second, in view all the time. No key does it.
 
-import { byId, setText } from './dom.js';
-import { order } from './messages.js';
+import { byId, setText } from '../dom.js';
+import { order } from '../messages.js';
 
 const HOLD_MS = 1000;
 // A page that stood still counts no more than this for one frame.

@@ -1,7 +1,7 @@
 // What a click, a stroke or a key on the picture does: choose, set a goal, draw a path, teach.
 
-import { byId, make, setText, words } from './dom.js';
-import { order, say } from './messages.js';
+import { byId, make, setText, words } from '../dom.js';
+import { order, say } from '../messages.js';
 
 const MODES = {
   choose: ['Choose', 'Click a particle to see its estimates; the wheel zooms, dragging moves the picture. By keyboard: arrow keys move the cross, Shift in small steps, Enter clicks.'],

@@ -1,6 +1,6 @@
 // The newest picture on the canvas, as soon as it is known what is in it. Every picture is answered with `seen`: drawn or passed over.
 
-import { byId, setText } from './dom.js';
+import { byId, setText } from '../dom.js';
 
 const OLD_MS = 1500;
 const HIDDEN_MS = 250;

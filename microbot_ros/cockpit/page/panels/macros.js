@@ -1,7 +1,7 @@
 // Macros: what this page asked for, with the pauses between, kept in this browser and asked for again.
 
-import { byId, offer, setText } from './dom.js';
-import { order } from './messages.js';
+import { byId, offer, setText } from '../dom.js';
+import { order } from '../messages.js';
 
 const KEY = 'microbot macros';
 // Arming is done by hand, by a person who looks.

@@ -1,7 +1,7 @@
 // Who may do what now: everything that needs control is off for viewers and without a link.
 
-import { byId } from './dom.js';
-import { order } from './messages.js';
+import { byId } from '../dom.js';
+import { order } from '../messages.js';
 
 export class Control {
   constructor(link) {
