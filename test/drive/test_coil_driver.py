@@ -622,9 +622,10 @@ def test_a_reading_from_before_the_zero_does_not_confirm_it(rig):
 @pytest.mark.parametrize('later', ['unplugged', 'stuck'])
 def test_what_was_seen_when_a_line_was_given_up_is_not_seen_any_more(make, later):
     rig = make(command_timeout_s=0.3)
-    rig.device.fault('silence+0.6')
+    rig.device.fault('silence+0.4')
     rig.until(lambda: not rig.driver.connected)
-    assert rig.driver.zero is not Zero.CONFIRMED
+    assert rig.driver._left is Zero.CONFIRMED
+    assert rig.driver.zero is Zero.SENT
     rig.device.mend()
     if later == 'unplugged':
         rig.device.fault('unplug')
@@ -635,6 +636,15 @@ def test_what_was_seen_when_a_line_was_given_up_is_not_seen_any_more(make, later
     assert not rig.driver.connected
     assert rig.driver.zero is (Zero.UNREACHABLE if later == 'unplugged' else Zero.SENT)
     assert rig.stop() is rig.driver.zero
+
+
+@pytest.mark.parametrize('protocol', ['roboclaw', 'roboteq', 'modbus', 'scpi'])
+def test_a_zero_that_was_seen_when_a_line_was_given_up_is_not_confirmed_at_the_end(make):
+    rig = make(command_timeout_s=0.3)
+    rig.device.fault('silence+0.4')
+    rig.until(lambda: not rig.driver.connected)
+    assert rig.driver._left is Zero.CONFIRMED
+    assert rig.stop() is Zero.SENT
 
 
 @pytest.mark.parametrize(('late_ms', 'after_s'), [(0, 0.0), (5, 0.005), (16, 0.005), (20, 0.01)])
