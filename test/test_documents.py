@@ -71,7 +71,7 @@ def test_pages_of_the_notebooks_show_their_cells(build):
 
 
 def test_every_sentence_of_a_fault_has_its_cause_and_cure(build):
-    """A new one needs a line in microbot_ros/cockpit/faults.yaml."""
+    """A new one needs a line in microbot_ros/cockpit/faults/faults.yaml."""
     known = faults.catalogue()
     said = build.faults.sentences()
     assert {part: set(told) for part, told in said.items()} == {

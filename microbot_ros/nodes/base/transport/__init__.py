@@ -77,7 +77,7 @@ def transport(reach: str, profile: str = '') -> Iterator[None]:
     before = {name: os.environ.get(name) for name in (RANGE, _PROFILES)}
     os.environ[RANGE] = reach
     if profile:
-        file = resources.files('microbot_ros.nodes.base') / profile
+        file = resources.files(__name__) / profile
         os.environ.setdefault(_PROFILES, str(file))
     try:
         yield
