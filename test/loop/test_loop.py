@@ -21,6 +21,9 @@ from microbot_ros.loop.model import ModelParameters
 from microbot_ros.loop.points import particles_at
 from microbot_ros.loop.tracker import TrackerParameters
 from microbot_ros.magnetics import CoilSettings
+from microbot_ros.model.effects.field.command_delay import CommandDelay
+from microbot_ros.model.io.model_file import write_model
+from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.tracking import FrameError
 from microbot_ros.virtual_rig.closed_loop import LoopFeedback
@@ -227,3 +230,48 @@ def test_rollers_are_learned_by_what_turns() -> None:
     made.steer(particles((0.0, 0.0)), 0.2)
     made.steer(particles((0.0, 0.0)), 0.3)
     assert told == [(0.1, omega[:2].tolist()), (0.2, [0.0, 0.0])]
+
+
+def test_rollers_are_learned_by_what_flows() -> None:
+    """A field that is asked for and does not flow turns nothing."""
+    made = asking(Loop(LoopParameters(model=ModelParameters(propulsion='rolling'))),
+                  turned(np.array([0.0, math.tau * 5, 0.0]), np.array([1e-3, 0.0])))
+    told: list[tuple[float, bool]] = []
+    stands = lambda t, omega: told.append((t, omega.any()))  # noqa: E731
+    made.model.rotation = made.tracker.rotation = stands  # type: ignore[method-assign]
+    made.model.field = stands  # type: ignore[method-assign]
+    made.measured(np.array([1.0, 0.0, -1.0, 0.0]), 0.05)
+    made.steer(particles((0.0, 0.0)), 0.1)
+    made.measured(np.array([1.0, 0.0, -1.0, 0.0]), 0.11)
+    made.measured(np.zeros(4), 0.12)
+    assert told == [(t, flows) for t, flows in ((0.05, False), (0.1, True), (0.12, False))
+                    for _ in range(2)]
+
+
+def test_model_and_tracker_are_told_the_field_that_is_read_back(tmp_path: Path) -> None:
+    made = loop(coils_file=coils(tmp_path, SIX), full_field_mT=1.0, **WIDE)
+    told: list[tuple[float, list[float]]] = []
+    take = lambda t, field: told.append((t, field.tolist()))  # noqa: E731
+    made.model.field = take  # type: ignore[method-assign]
+    currents = made.allocation.step(np.array([1e-3, 0.5e-3, 0.2e-3]))
+    field = made.measured(currents, 0.01)  # before there is a tracker
+    made.tracker.field = take  # type: ignore[method-assign]
+    made.measured(currents, 0.02)
+    assert told == [(t, field[:2].tolist()) for t in (0.01, 0.02, 0.02)]
+
+
+def test_the_model_of_a_file_is_used_from_the_first_frame_on(tmp_path: Path) -> None:
+    file = tmp_path / 'model.yaml'
+    write_model(file, Model(5e-3).with_effect(CommandDelay(0.2)),
+                ParticleParameters(np.arange(1), np.zeros(1), np.zeros(1)))
+    made = Loop(LoopParameters(model=ModelParameters(model_file=str(file))))
+    assert made.model.estimator.model.effects == (CommandDelay(0.2),)
+
+
+@pytest.mark.parametrize('commands', [True, False])
+def test_a_controller_lets_go_where_it_commands_nothing(commands: bool) -> None:
+    field = FieldCommand(np.array([1e-3, 0.0]))
+    made, gone = asking(loop(), Outcome(field if commands else None)), []
+    made.controller.let_go = lambda: gone.append(True)  # type: ignore[method-assign]
+    made.steer(particles((0.0, 0.0)), 0.03)
+    assert bool(gone) != commands
