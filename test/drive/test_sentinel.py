@@ -96,10 +96,11 @@ def test_the_sentinel_has_a_session_of_its_own_and_is_as_quick_as_the_watchdogs_
     assert last_resort._FEED_S <= last_resort._SILENCE_S / 4  # three that are lost are no end
 
 
-def test_nothing_is_written_to_what_was_the_pipe_of_a_sentinel(tmp_path):
+@pytest.mark.parametrize('end', ['dismiss', 'abandon'])
+def test_nothing_is_written_to_what_was_the_pipe_of_a_sentinel(tmp_path, end):
     last = last_resort.LastResort([])
     number = last._feed
-    last.abandon()
+    getattr(last, end)()
     last._process.wait(8.0)
     until(lambda: last._pipe.closed)
     with (tmp_path / 'other').open('wb') as other:
