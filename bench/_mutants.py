@@ -45,7 +45,7 @@ TESTS = {
     'drive.sentinel': (['test_sentinel'], ''),
     'drive.amplifiers.serial_transfer.driver': (
         ['test_amplifiers', 'test_lines', 'test_serial_transfer_driver', 'test_coil_driver'],
-        'serial_transfer or from_before_the_zero'),
+        'serial_transfer or from_before_the_zero or over_a_network'),
     'drive.amplifiers.roboclaw.driver': (
         ['test_roboclaw', 'test_amplifiers', 'test_lines'], 'roboclaw'),
     'drive.amplifiers.sabertooth.driver': (['test_sabertooth'], ''),

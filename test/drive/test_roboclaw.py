@@ -154,6 +154,16 @@ def test_a_timeout_that_is_not_taken_stops_the_connection(scripted):
         RoboclawAmplifier('line', 2.0).connect()
 
 
+@pytest.mark.parametrize('timeout', ['00', '02'])
+def test_a_controller_whose_timeout_is_not_ours_any_more_was_reset(scripted, timeout):
+    found = ('line', *answer('80 0f', bytes.fromhex(timeout)))
+    scripted([*connecting()[:8], found, *inspecting('015e', '015e')[2:]])
+    amplifier = RoboclawAmplifier('line', 2.0)
+    amplifier._abort = lambda _: None  # what that says is in test_lines
+    with pytest.raises(NoAnswerError, match=r'0x80 .*it was reset'):
+        amplifier.connect()
+
+
 def test_no_acknowledgement_is_an_error(scripted):
     zero = packet('80 22 0000 0000')
     # The other controller is configured all the same.
