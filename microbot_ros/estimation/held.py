@@ -99,9 +99,9 @@ def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray
     Returns
     -------
     bool
-        False for fewer than FEWEST_FRAMES steps.
+        False for fewer than FEWEST_FRAMES steps or LEGS commands.
     """
-    if len(steps) < FEWEST_FRAMES or not swum.any():
+    if len(steps) < FEWEST_FRAMES or legs[-1] - legs[0] + 1 < LEGS or not swum.any():
         return False
     c = response(steps, swum)
     # The step after a reading that errs outwards goes inwards, so that the place is taken from the

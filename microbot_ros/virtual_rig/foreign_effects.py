@@ -21,7 +21,7 @@ from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model
 from microbot_ros.model.physics.langevin import step_grid
 from microbot_ros.model.timeline import last_change
-from microbot_ros.virtual_rig.dynamics import coil_fields, felt_field
+from microbot_ros.virtual_rig.dynamics import feel
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, check
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
@@ -142,11 +142,12 @@ class ForeignWorld(World):
             return self.position
         felt = replace(
             history, t=history.t + self._model.delay, field=self._model.field(history.field))
+        changed = felt.t[last_change(felt.field, felt.frequency)]
         middle, length = step_grid(self.t, until)
         mean = np.zeros((len(self.bodies), 2))
         for k, t in enumerate(middle):
             undisturbed = {name: self.bodies[name].copy() for name in _DISTURBED}
-            offset = self._disturb(t, length, felt)
+            offset = self._disturb(self._context(t, length, felt, changed))
             end = until if k == len(middle) - 1 else t + length / 2
             mean += super().advance(end, felt)
             self.bodies['phi'] -= offset
@@ -157,10 +158,9 @@ class ForeignWorld(World):
     def observe(self, position: np.ndarray) -> np.ndarray:
         return self._model.observe(position)
 
-    def _disturb(self, t: float, length: float, history: FieldHistory) -> np.ndarray | float:
+    def _disturb(self, context: EffectContext) -> np.ndarray | float:
         """Write the hooks' results of a step into the bodies; return what was added to φ [rad]."""
         bodies, model = self.bodies, self._model
-        context = self._context(t, length, history)
         bodies['speed'] *= model.speed_factor(context)
         bodies['gain'] *= model.speed_factor(context)
         drift = model.drift(context)
@@ -175,7 +175,9 @@ class ForeignWorld(World):
         bodies['phi'] += offset
         return offset
 
-    def _context(self, t: float, length: float, history: FieldHistory) -> EffectContext:
+    def _context(self, t: float, length: float, history: FieldHistory,
+                 changed: np.ndarray) -> EffectContext:
+        """Return what hooks see in a step about `t`; the fields of the rows began at `changed`."""
         rows = history.t.searchsorted(t - self.bodies['delay'], side='right') - 1
         which = np.minimum(np.arange(len(rows)), history.field.shape[1] - 1)
         field = np.zeros((len(rows), 2))
@@ -185,10 +187,8 @@ class ForeignWorld(World):
         if history.frequency is not None:
             turns = history.turns
             frequency[on] = turns[rows[on], np.minimum(which[on], turns.shape[1] - 1)]
-        changed = history.t[last_change(history.field, history.frequency)]
         since = np.where(on, t - self.bodies['delay'] - changed[rows], 0.0)
-        for i, body in enumerate(self.bodies):
-            field[i] = felt_field(body, *coil_fields(body, *field[i]))
+        feel(self.bodies, field)
         return EffectContext(
             np.array([t]), np.array([length]), field, frequency, self._model.reference_field,
             Places(self.position, np.arange(len(rows)), self.bodies['phi'].copy()), since)
