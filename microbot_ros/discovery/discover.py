@@ -13,6 +13,7 @@ from microbot_ros.common.units import suffix, symbol
 from microbot_ros.discovery.check.held_out import hold_out
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.check.score_tests import residual_maps
+from microbot_ros.discovery.check.time_shift import time_shifts
 from microbot_ros.discovery.evidence import FitEvidence
 from microbot_ros.discovery.hypotheses import Candidate, Hypotheses, consider
 from microbot_ros.discovery.intervals import Intervals
@@ -140,7 +141,7 @@ def discover(sessions: Sequence[Session],
         model=fit.model,
         particles=_particle_parameters(fit),
         remarks=(*remarks, *_interrupted(start), *_reservations(known, judgement),
-                 *_confounded(start), *_not_thermal(fit), *_unsteady(fit),
+                 *_shifted(known.fit), *_confounded(start), *_not_thermal(fit), *_unsteady(fit),
                  *_unlike_fit(start, fit), *_beyond_commands(fit)),
         learned=_told(learned) if learned else (),
     )
@@ -226,6 +227,17 @@ def _interrupted(fit: ModelFit) -> list[str]:
                         f'{", ".join(parts)} after the first frame. Did particles stick or touch '
                         'something, or are commands missing in the log?')
     return told
+
+
+def _shifted(fit: ModelFit) -> list[str]:
+    """Return a sentence for each session whose clocks disagree by less than a frame."""
+    return [
+        f'{p.session.name}: commands act {abs(one.shift) * 1e3:.2g} ± {one.std * 1e3:.1g} ms '
+        f'{"later" if one.shift > 0 else "earlier"} than their times, which is less than a frame '
+        f'({one.interval * 1e3:.3g} ms). An error of the time stamps looks the same, so it counts '
+        'as no effect.'
+        for p, one in zip(fit.session_fits, time_shifts(fit), strict=True)
+        if one and one.is_noted]
 
 
 def _not_thermal(fit: ModelFit) -> list[str]:

@@ -1,7 +1,8 @@
 """Residual maps: χ² tests of the whitened residual against one covariate each.
 
-With U orthonormal functions of a covariate, orthogonal to all fitted parameters, T = ‖Uᵀr‖² is χ²
-if the model is complete (a score test: Rao 1948). P-values are adjusted by Holm's method.
+With U orthonormal functions of a covariate, orthogonal to all fitted parameters and to an error of
+the clock, T = ‖Uᵀr‖² is χ² if the model is complete (a score test: Rao 1948). P-values are
+adjusted by Holm's method.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from scipy.linalg import solve_banded
 
 from microbot_ros.discovery.check.covariates import Covariates, Group
 from microbot_ros.discovery.check.tail_probabilities import chi_square_tail, peak_tail_probability
+from microbot_ros.discovery.check.time_shift import time_shifts
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import HORIZON, ResidualMap
 from microbot_ros.discovery.starting_points import background, rotating_components
@@ -58,14 +60,16 @@ def residual_maps(fit: ModelFit, run: Run = serially) -> tuple[ResidualMap, ...]
     tuple of ResidualMap
         P-values are adjusted for all of them by Holm's method.
     """
+    fitted = [
+        np.concatenate([jacobian, shift.column], axis=-1) if shift and shift.is_of_clock
+        else jacobian for jacobian, shift in zip(fit.jacobian, time_shifts(fit), strict=True)]
     covariates = [Covariates(p) for p in fit.session_fits]
     by_name: dict[str, list[tuple[int, Group]]] = {}
     for k, context in enumerate(covariates):
         for group in context.groups():
             by_name.setdefault(group.against, []).append((k, group))
-    raw = list(run(partial(_tested, fit, fit.jacobian), list(by_name.values())))
-    raw += [_rhythm(fit, fit.jacobian), _rhythm(fit, fit.jacobian, covariates),
-            _single_steps(fit)]
+    raw = list(run(partial(_tested, fit, fitted), list(by_name.values())))
+    raw += [_rhythm(fit, fitted), _rhythm(fit, fitted, covariates), _single_steps(fit)]
     adjusted = _holm([m.p_value for m in raw])
     return tuple(
         replace(m, p_value=p) for m, p in zip(raw, adjusted, strict=True)
