@@ -8,7 +8,7 @@ import numpy as np
 
 from bench._driven_rig import SimulatedRig
 from bench._hidden_effects import KINDS, Hideout, Parameters
-from bench._hidden_suite import FIELD, FLUID, Experiment, Yardstick
+from bench._hidden_suite import ABOVE_FLOOR, FIELD, FLUID, Experiment, Yardstick, is_near_floor
 from microbot_ros.common.records import Conditions
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.design import Range, random_steps
@@ -28,7 +28,8 @@ def hidden_world(seed: int, effects: tuple[str, ...], evidence: float = 10.0,
     """A rig drawn by `seed`, and what is hidden in it: `effects` of that `evidence` λ each.
 
     A minute of random steps would hold so much, and of what is PASSING as much as LASTING minutes
-    of what is not. Where the strongest that a rig may have holds less, another one is drawn.
+    of what is not. Near the floor of the instrument, where it must not be named, it is given more.
+    Where the strongest that a rig may have holds less, another one is drawn.
     """
     for attempt in range(200):
         rng = np.random.default_rng([seed, attempt, 18])
@@ -43,6 +44,9 @@ def hidden_world(seed: int, effects: tuple[str, ...], evidence: float = 10.0,
             shaped = KINDS[effect].shaped(Hideout(rng, extent * 1e6, MINUTE))
             wanted = evidence * (LASTING if effect in PASSING else 1.0)
             strength = yardstick.strength(effect, shaped, wanted)
+            while strength is not None and is_near_floor(effect, shaped(strength)):
+                wanted *= ABOVE_FLOOR**2
+                strength = yardstick.strength(effect, shaped, wanted)
             if strength is None:
                 break
             hidden[effect] = shaped(strength)

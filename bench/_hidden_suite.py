@@ -75,14 +75,15 @@ class Blind:
     @property
     def near_floor(self) -> bool:
         """Whether an effect is below ABOVE_FLOOR times the floor of the instrument."""
-        return any(_is_near_floor(*one) for one in self.hidden.items())
+        return any(is_near_floor(*one) for one in self.hidden.items())
 
     def __str__(self) -> str:
         what = f'{" + ".join(self.hidden)} at λ {self.evidence:.0f}' if self.hidden else 'nothing'
         return f'seed {self.seed}, {self.commands}: {what}'
 
 
-def _is_near_floor(name: str, parameters: Parameters) -> bool:
+def is_near_floor(name: str, parameters: Parameters) -> bool:
+    """Whether an effect is below ABOVE_FLOOR times the floor of the instrument."""
     floors = [p for p in EFFECTS[name].parameters() if p.floor and p.name in parameters
               ] if name in EFFECTS else []
     return bool(floors) and all(

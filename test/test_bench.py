@@ -98,6 +98,7 @@ def square(number: int) -> Squared:
     return Squared(number, number**2)
 
 
+@pytest.mark.rig
 def test_an_outcome_is_kept_under_its_own_case_and_each_is_judged_once(tmp_path: Path) -> None:
     path = tmp_path / 'squares.jsonl'
     expected = [Squared(number, number**2) for number in range(5)]

@@ -66,6 +66,7 @@ def test_an_error_reaches_the_caller_and_the_next_call_works():
     assert list(in_processes(fails, [0, 0], jobs=2)) == [0, 0]
 
 
+@pytest.mark.rig
 def test_two_processes_find_what_one_finds(film):
     session, _ = film(5, {'uniform_drift': {'wx_um_s': 0.6, 'wy_um_s': 0.3}}, duration=20.0)
     alone, together = (discover([session], jobs=jobs) for jobs in (1, 2))

@@ -23,6 +23,9 @@ from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.nodes.client.driven_rig import DrivenRig
 from microbot_ros.nodes.client.graph_client import GraphClient
 
+# What is played lasts as long as on a rig, and some of it is stopped by signals.
+pytestmark = pytest.mark.rig
+
 # A process that is held up skips what it had no time for: each field lasts longer than that.
 SHORT = Plan(np.array([0.0, 2.0, 4.0, 1.0]), np.full(4, FIELD), np.full(4, 1.0))
 LONG = Plan(np.array([0.0, 2.0]), np.full(2, FIELD), np.full(2, 30.0))

@@ -54,6 +54,7 @@ def _graph(ros: Any, folder: Path, rolling: bool, *more: str) -> Any:
     return graph
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize('rolling', [False, True])
 def test_the_recent_past_becomes_a_session(ros: Any, tmp_path: Path, rolling: bool) -> None:
     graph = _graph(ros, tmp_path, rolling)
@@ -74,6 +75,7 @@ def test_the_recent_past_becomes_a_session(ros: Any, tmp_path: Path, rolling: bo
     assert [effect.id for effect in discover([session]).effects] == ['uniform_drift']
 
 
+@pytest.mark.rig
 def test_what_waited_during_a_look_is_not_looked_at_again(ros: Any, tmp_path: Path) -> None:
     graph = _graph(ros, tmp_path, False)
     with GraphClient('test') as client, graph.spinning():
@@ -106,6 +108,7 @@ def test_a_screen_that_comes_later_hears_the_last_verdict() -> None:
     assert '\n' not in heard[0]
 
 
+@pytest.mark.rig
 def test_discover_watches_and_what_it_proposes_is_used_while_running(
         ros: Any, tmp_path: Path) -> None:
     graph = _graph(ros, tmp_path, False, 'controller')
