@@ -47,6 +47,25 @@ def test_it_takes_over_a_stale_link_and_leaves_files_alone(tmp_path):
     assert link.read_text() == 'precious'
 
 
+def test_it_takes_over_no_link_to_a_device_and_empties_no_file_but_a_log(tmp_path):
+    link, log = tmp_path / 'coils', tmp_path / 'log.jsonl'
+    link.symlink_to('/dev/null')
+    log.write_text('t_s,particle\n')
+    done = run('--link', link)
+    assert (done.returncode, os.readlink(link)) == (2, '/dev/null')
+    assert f'{link}: expected an unused path' in done.stderr
+    done = run('--link', tmp_path / 'free', '--log', log)
+    assert done.returncode == 2
+    assert f'{log}: expected a new file' in done.stderr
+    assert log.read_text() == 't_s,particle\n'
+    log.write_text('{"t_monotonic_s": 1.0, "currents_A": [0.0], "cause": "reset"}\n')
+    with subprocess.Popen([*COMMAND, '--link', tmp_path / 'free', '--log', log],
+                          stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        process.terminate()
+    assert '"t_monotonic_s": 1.0,' not in log.read_text()
+
+
 @pytest.mark.parametrize('options', [
     ['--fault', 'flop'], ['--fault', 'flip=2'], ['--fault', 'flip=nan'], ['--fault', 'open=17'],
     ['--fault', 'open=1.5'], ['--fault', 'flip@'], ['--fault', 'unplug@1.2.3'],

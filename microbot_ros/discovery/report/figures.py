@@ -140,7 +140,8 @@ def _map(axis: Axes, before: ResidualMap, after: ResidualMap) -> None:
     if 'power' not in before.curves:
         names = ', '.join(f'{m} {n}' for m, n in zip('●□', before.curves, strict=False))
         axis.text(0.02, 0.98, names, transform=axis.transAxes, fontsize=7, va='top')
-    axis.set_title(f'{before.against}\n{_p(before)} → {_p(after)}', fontsize=9,
+    # y: or every draw measures all labels to find out whether the title must move.
+    axis.set_title(f'{before.against}\n{_p(before)} → {_p(after)}', y=1.0, fontsize=9,
                    fontweight='bold' if after.fires else 'normal',
                    color=BEFORE if after.fires else 'black')
     if before.label == 'particle':

@@ -11,6 +11,9 @@ from pathlib import Path
 
 from microbot_ros.common.errors import InputError
 
+_TERMINALS = Path('/dev/pts')
+"""Folder of pseudo-terminals. A link to one is what an emulator that was killed leaves."""
+
 
 class Line:
     """Device end of a serial line; the host opens the other end under the name `link`.
@@ -32,8 +35,10 @@ class Line:
         """Whether a host has the line open, as of the last `read`."""
         self._device = ''
         self.master: int | None = None
-        if link.exists() and not link.is_symlink():
-            raise InputError(link, 'expected an unused path for the link, found a file')
+        if link.exists() and not (
+                link.is_symlink() and Path(os.readlink(link)).parent == _TERMINALS):
+            raise InputError(link, 'expected an unused path for the link, found a file or the '
+                                   'link to a device')
         self.plug()
 
     @property

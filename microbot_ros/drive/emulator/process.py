@@ -22,6 +22,9 @@ from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
 from microbot_ros.drive.emulator.server import Server
 
+_LOG = b'{"t_monotonic_s": '
+"""First bytes of a log, which `Coils` writes."""
+
 DEVICES = {
     'serial_transfer': 'microbot_ros.drive.amplifiers.serial_transfer.emulated:Board',
     'scpi': 'microbot_ros.drive.amplifiers.scpi.emulated:Supplies',
@@ -80,7 +83,8 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
     Raises
     ------
     InputError
-        If a link or a log cannot be made, or if a fault is invalid.
+        If a link or a log cannot be made or would replace something else, or if a fault is
+        invalid.
     """
     started = time.monotonic()
     planned = Faults([parse(text, started) for text in faults if text != '-'])
@@ -127,6 +131,11 @@ class _Diary(TextIOBase):
 
 def _open_log(log: Path | None) -> TextIO:
     try:
+        if log and log.is_file():
+            with log.open('rb') as before:
+                if before.read(len(_LOG)) not in (b'', _LOG):
+                    raise InputError(log, 'expected a new file or the log of an emulator, which '
+                                          'is replaced; found another file')
         return (log or Path(os.devnull)).open('w', encoding='utf-8')
     except OSError as error:
         problem = f'expected a file to write the log to ({error.strerror})'
