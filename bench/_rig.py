@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import cv2
@@ -69,14 +71,22 @@ def running(folder: Path, film: list[np.ndarray], board: EmulatorProcess, rate_h
 
 
 @contextmanager
-def graph(folder: Path, nodes: dict[str, dict[str, Any]]) -> Iterator[None]:
-    """The processes of these `nodes` with their parameters, from a file in `folder`."""
+def graph(folder: Path, nodes: dict[str, dict[str, Any]],
+          instead: Mapping[str, str] = MappingProxyType({})) -> Iterator[None]:
+    """The processes of these `nodes` with their parameters, from a file in `folder`.
+
+    A node in `instead` is run by that module.
+    """
     parameters = folder / 'parameters.yaml'
     parameters.write_text(yaml.safe_dump(
         {node: {'ros__parameters': values} for node, values in nodes.items()}))
     with Graph(lambda *_: None) as started:
         for node in nodes:
-            started.start_node(node, parameters)
+            if node in instead:
+                started.start(node, [sys.executable, '-m', instead[node], '--ros-args',
+                                     '--params-file', str(parameters)])
+            else:
+                started.start_node(node, parameters)
         started.wait_ready(120.0)
         yield
 
