@@ -13,8 +13,8 @@ class FrameStream:
     """Frames of a `camera`, opened here and checked against its `format`.
 
     `lost` counts frames exposed before the newest that did not arrive, `repeated` those delivered
-    again: with the number, or on a real clock the stamp, of the previous one. Raises InputError if
-    the camera cannot be opened.
+    again: with the number, or on a real clock the stamp or the pixels, of the previous one. Raises
+    InputError if the camera cannot be opened.
 
     Parameters
     ----------
@@ -34,6 +34,7 @@ class FrameStream:
         self._clock = ExposureClock(form.least_delay, form.clock is Clock.HOST)
         self._number: int | None = None
         self._exposed = float('nan')
+        self._pixels = b''
         self._heard = time.monotonic()
 
     def read(self, timeout: float) -> tuple[CameraFrame, float] | None:
@@ -100,4 +101,11 @@ class FrameStream:
         if step == 0 or (self.format.clock is not Clock.NONE and frame.exposed == stamp):
             return False
         self._missing += step - 1
-        return True
+        return not self._is_frozen(frame)
+
+    def _is_frozen(self, frame: CameraFrame) -> bool:
+        """Return whether a device delivers the same picture again: noise is never equal."""
+        if self.format.clock is Clock.NONE:
+            return False  # a file may hold equal pictures
+        before, self._pixels = self._pixels, frame.image.tobytes()
+        return self._pixels == before and frame.image.min() < frame.image.max()

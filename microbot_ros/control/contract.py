@@ -147,11 +147,13 @@ class Goals:
     """Goals at `position` (G, 2) [m], of the particles with `ids` (G,).
 
     Without ids they are a list: waypoints in order for one particle, or goals of the particles in
-    ascending order of their ids.
+    ascending order of their ids. `stamp` [s] tells apart equal goals that were sent one after the
+    other.
     """
 
     position: np.ndarray = dataclasses.field(default_factory=NO_PLACES.copy)
     ids: np.ndarray | None = None
+    stamp: float = 0.0
 
     def __len__(self) -> int:
         return len(self.position)

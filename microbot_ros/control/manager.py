@@ -247,7 +247,7 @@ class ControllerManager:
             The command, or None, with the reason.
         """
         fresh = abs(inputs.age) <= self._pose_timeout
-        if not fresh or inputs.dt > self._pose_timeout:
+        if not fresh or abs(inputs.dt) > self._pose_timeout:
             self.let_go()
             self._record.clear()
         if not fresh:

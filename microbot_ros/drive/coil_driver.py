@@ -79,7 +79,7 @@ class CoilDriver:
     disarmed. If the system allows it, the thread runs with real-time priority.
 
     After arming only zero passes until a zero was commanded that was given after arming was
-    requested: a goal or a joystick from before moves nothing. Every stop and every fault begins a
+    requested: no command from before moves anything. Every stop and every fault begins a
     new `epoch`; arming that was requested in an older one is refused.
 
     A device without watchdog is watched by a sentinel process, which zeroes it when this process

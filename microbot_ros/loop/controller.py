@@ -100,6 +100,7 @@ class ControllerStage:
             pose_timeout=parameters.pose_timeout_ms * 1e-3, border=parameters.border_s,
             worker=worker)
         _warm_up()
+        self._at_rest = AT_REST
         self.begin()
 
     def begin(self) -> None:
@@ -149,6 +150,8 @@ class ControllerStage:
         answer = self.manager.change(controllers, wanted if switch else '', seconds)
         if answer.ok:
             self.parameters = parameters
+            if 'teleop' in controllers:
+                self._at_rest = min(AT_REST, controllers['teleop'].dead_zone)
         return answer
 
     def forget(self) -> None:
@@ -162,7 +165,7 @@ class ControllerStage:
         A stick that is deflected now counts as centred until it has been centred once.
         """
         self.armed = True
-        self._held = bool(np.hypot(*self._joystick) > AT_REST)
+        self._held = bool(np.hypot(*self._joystick) > self._at_rest)
         self.let_go()
 
     def be_disarmed(self) -> None:
@@ -263,7 +266,7 @@ class ControllerStage:
                              'centred')
         self._joystick = axes / max(1.0, float(np.hypot(*axes)))
         self._joystick_t = t
-        self._held = self._held and bool(np.hypot(*self._joystick) > AT_REST)
+        self._held = self._held and bool(np.hypot(*self._joystick) > self._at_rest)
 
     def step(self, estimates: np.ndarray, t: float, now: float) -> Outcome:
         """Return the command for a frame; without a command the field is released.

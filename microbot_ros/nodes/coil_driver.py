@@ -38,6 +38,9 @@ _WARM = 0.01
 _REMIND_SECONDS = 0.2
 """Interval [s] of the messages that the gate is armed, while it waits for a zero. Choice: five a
 second reach a controller that was delayed."""
+_SET_BACK_SECONDS = 1.0
+"""Step back [s] of the stamps beyond which the clock was set back. Choice: far above the
+difference of two frames on their way."""
 _COMMANDER_SECONDS = 2.0
 """Time [s] that arming waits for a commander to be discovered, as both nodes may just have been
 started. Choice: half refuses on a busy machine, twice delays every refusal."""
@@ -235,7 +238,8 @@ class CoilDriverNode(RigNode):
         field, angular_velocity = messages.rotating_field(message)
         stamp = message.header.stamp
         # Two topics have no common order: ignore a rotation older than the constant field.
-        if messages.to_seconds(stamp) >= self._stands_s:
+        older_s = self._stands_s - messages.to_seconds(stamp)
+        if not 0.0 < older_s < _SET_BACK_SECONDS:
             self._take('field/rotating', field, angular_velocity, stamp)
 
     def _take(self, topic: str, field: np.ndarray, angular_velocity: np.ndarray,

@@ -29,7 +29,16 @@ from microbot_ros.loop.points import GOAL, PLACE
 from microbot_ros.model.io.model_file import read_model
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.core import Core
-from microbot_ros.nodes.base.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode, status
+from microbot_ros.nodes.base.lifecycle import (
+    CHANGES_IN,
+    ERROR,
+    LATCHED,
+    NEWEST,
+    OK,
+    WARN,
+    RigNode,
+    status,
+)
 from microbot_ros.nodes.base.markers import markers
 from microbot_ros.nodes.base.parameters import ParameterSet
 from microbot_ros.session.replay.log import EXPIRE, LET_GO
@@ -117,7 +126,7 @@ class ControllerCore(Core):
         self.subscribe(Path, 'path', self._on_path)
         self.subscribe(JointTrajectory, 'field/plan', self._on_plan)
         self.subscribe(Joy, 'joy', self._on_joy, NEWEST)
-        self.subscribe(Bool, 'coil_driver/armed', self._on_armed, LATCHED)
+        self.subscribe(Bool, 'coil_driver/armed', self._on_armed, CHANGES_IN)
 
     def expire(self) -> None:
         """Command zero once if poses have stopped arriving."""
@@ -205,8 +214,9 @@ class ControllerCore(Core):
         # Cancelling is never refused.
         if places and self._refuses(Input.GOALS if ids is None else Input.PARTICLE_GOALS, header):
             return
-        self.stage.go_to(Goals(np.array([(p.x, p.y) for p in places]).reshape(-1, 2), ids))
         self._goals_stamp = messages.to_seconds(header.stamp)
+        self.stage.go_to(Goals(np.array([(p.x, p.y) for p in places]).reshape(-1, 2), ids,
+                               self._goals_stamp))
         self._tell_goals(header.stamp)
         self.tell()  # at once, for waiting clients
 

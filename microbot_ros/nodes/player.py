@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import itertools
 import math
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -67,7 +67,8 @@ class PlayerNode(RigNode):
     """Node that publishes the recorded bytes unchanged; `~/pause` and `~/step` control it."""
 
     Parameters: ClassVar[type] = PlayerParameters
-    _unsent: Message | None
+    _unsent: deque[Message]
+    """Messages that are due, and for which listeners had no room."""
 
     def veto(self, proposed: PlayerParameters) -> str:
         """Change pace and position here, so that an impossible change is refused.
@@ -88,7 +89,7 @@ class PlayerNode(RigNode):
         try:
             if proposed.seek_s != self.settings.seek_s:
                 self._playback.seek(proposed.seek_s, now)
-                self._unsent = None
+                self._unsent.clear()
             self._playback.set_rate(rate, now)
         except InputError as error:
             return str(error)
@@ -117,7 +118,7 @@ class PlayerNode(RigNode):
         values: PlayerParameters = self.settings
         self._asked = self._found = time.monotonic()
         self._listeners = 0
-        self._unsent = None
+        self._unsent = deque()
         self._begun = self._done = False
         from microbot_ros.session.replay.playback import Playback
 
@@ -187,22 +188,25 @@ class PlayerNode(RigNode):
             self._playback.resume(now)
 
     def _send_due(self, now: float) -> None:
-        held = [self._unsent] if self._unsent else []
-        for message in itertools.chain(held, iter(lambda: self._playback.take(now), None)):
-            # A bounded slice, so that services are answered at any rate.
-            if not self._send(message) or time.monotonic() - now > 5 * _CLOCK_SECONDS:
+        # A bounded slice, so that services are answered at any rate.
+        while time.monotonic() - now <= 5 * _CLOCK_SECONDS:
+            if not self._unsent and (message := self._playback.take(now)):
+                self._unsent.append(message)
+            if not self._send():
                 break
         if not self._unsent:
             self._outlets.tell_time(self._playback.clock_ns(now))
 
-    def _send(self, message: Message) -> bool:
-        """Publish a message; return False and keep the message if there is no room for it."""
+    def _send(self) -> bool:
+        """Publish what has waited longest; return False if that is nothing, or finds no room."""
+        if not self._unsent:
+            return False
+        message = self._unsent[0]
         self._asked = time.monotonic()
         if not self._outlets.send(message.topic, bytes(message.data)):
-            self._unsent = message
             self.complain(f'waiting for a listener of {message.topic} that keeps all and is late')
             return False
-        self._unsent = None
+        self._unsent.popleft()
         self._sent += 1
         return True
 
@@ -215,8 +219,10 @@ class PlayerNode(RigNode):
     def _on_step(self, _: Any, response: Any) -> Any:
         now = time.monotonic()
         sent = self._sent
-        for message in () if self._unsent else self._playback.step(now):
-            self._send(message)
+        if not self._unsent:
+            self._unsent.extend(self._playback.step(now))
+        while self._send():
+            pass
         count = self._sent - sent
         self._outlets.tell_time(self._playback.clock_ns(now))
         response.success, response.message = count > 0, f'{count} messages'

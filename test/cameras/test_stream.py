@@ -1,5 +1,6 @@
 """Every frame once, every lost one counted, none of another size."""
 
+import dataclasses
 import math
 import time
 
@@ -87,6 +88,22 @@ def test_a_repeat_under_a_new_number_is_one_by_its_stamp():
     kept = [bool(stream.read(0.0)) for _ in range(5)]
     assert kept == [True, False, True, True, True], 'no stamp is no stamp that repeats'
     assert (stream.lost, stream.repeated) == (0, 1)
+
+
+def test_the_same_picture_for_ever_is_a_repeat_whatever_number_and_stamp_it_has():
+    noise = np.random.default_rng(0).integers(90, 110, (3, 4, 6)).astype(np.uint8)
+    form = dataclasses.replace(FORM, clock=Clock.DEVICE)
+    pictures = [noise[0], noise[1], noise[1], noise[1].copy(), noise[2]]
+    stream = FrameStream(Scripted(*(
+        frame(k, picture, k / 100) for k, picture in enumerate(pictures, 1)), form=form))
+    kept = [found[0].number for found in (stream.read(0.0) for _ in pictures) if found]
+    assert (kept, stream.repeated, stream.lost) == ([1, 2, 5], 2, 0)
+
+
+def test_a_lens_cap_is_no_repeat():
+    form = dataclasses.replace(FORM, clock=Clock.DEVICE)
+    stream = FrameStream(Scripted(*(frame(k, exposed=k / 100) for k in (1, 2)), form=form))
+    assert all(stream.read(0.0) for _ in range(2))
 
 
 def test_a_counter_that_is_set_back_is_said():

@@ -133,7 +133,7 @@ def test_stamps_of_another_clock_are_mapped(plugged):
     assert stream.format.clock is Clock.DEVICE
     begin = time.monotonic()
     for k in range(3):
-        kernel.fill(GREY.tobytes(), k + 1, 1.79e9 + 0.001 * k, 0)
+        kernel.fill((GREY + k).tobytes(), k + 1, 1.79e9 + 0.001 * k, 0)
     moments = [stream.read(1.0)[1] for _ in range(3)]
     assert begin <= moments[0] <= moments[1] <= moments[2] <= time.monotonic()
 

@@ -18,11 +18,15 @@ from microbot_ros.control.contract import (
     Result,
     no_field,
 )
+from microbot_ros.control.deadline_worker import UnhurriedWorker
 from microbot_ros.control.manager import LONGEST_STEP, ControllerManager
 from microbot_ros.control.plugins.hold import Hold
+from microbot_ros.control.plugins.teleop import TeleopParameters
 from microbot_ros.control.plugins.waypoint import Waypoint
 from microbot_ros.control.steering.border import kept_in_view
 from microbot_ros.control.testkit import controller_input
+from microbot_ros.loop.controller import ControllerParameters, ControllerStage
+from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.model.effects.field.background_field import BackgroundField
 from microbot_ros.model.model import Model
 
@@ -203,3 +207,23 @@ def test_who_is_no_number_does_not_count_at_the_border(name, bad):
 def test_a_limit_that_limits_nothing_is_refused(name, bad):
     with pytest.raises(ValueError, match=f'{name} must be finite and 0 or more'):
         Limits(**{name: bad})
+
+
+@pytest.mark.parametrize(('deflected', 'still'), [(0.14, 0.0), (0.0, FULL)])
+def test_a_stick_that_steers_when_the_rig_is_armed_must_be_centred(deflected, still):
+    """Also where its dead zone is smaller than what usually counts as centred."""
+    stage = ControllerStage(ControllerParameters(controller='teleop'), UnhurriedWorker)
+    try:
+        assert stage.configure(stage.parameters, {'teleop': TeleopParameters(dead_zone=0.0)}).ok
+        seen = np.zeros(1, ESTIMATE)
+        seen['speed'], seen['x_std'], seen['speed_std'], seen['phi_std'] = 5e-6, 5e-8, 1e-8, 0.01
+        stage.be_disarmed()
+        for k in range(6):
+            t = 100.0 + 0.02 * k
+            stage.move_joystick(np.array([deflected if k < 4 else 0.14, 0.0]), t)
+            if k == 2:
+                stage.be_armed()
+            command = stage.step(seen, t, t).command
+        assert np.hypot(*command.field) == pytest.approx(still)
+    finally:
+        stage.manager.close()

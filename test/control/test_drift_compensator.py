@@ -71,6 +71,17 @@ def test_a_gap_in_which_the_field_is_not_known_teaches_nothing():
     assert abs(world.compensator.answer - before[0]) < 0.3e-6
 
 
+def test_a_clock_that_is_set_back_moves_nothing():
+    world = World()
+    world.watch(12, **UNKNOWN)
+    world.t, world.record = world.t - 3600, FieldRecord()
+    world.go(DT)
+    assert abs(world.look(**UNKNOWN) - world.place) < 0.3e-6
+    world.watch(3, **UNKNOWN)
+    assert abs(world.look(**UNKNOWN) - world.place) < 0.3e-6
+    assert abs(world.compensator.drift - DRIFT) < 0.4e-6
+
+
 def test_another_particle_is_another_start():
     world = World()
     world.watch(12, **UNKNOWN)

@@ -55,6 +55,7 @@ def test_a_clock_that_goes_back_lets_go():
     controller.activate(_at(0.0))
     controller.compute(_at(5.0, PLAN))
     assert not controller.compute(_at(4.0, PLAN)).field.any()
+    assert not controller.compute(_at(5.5, PLAN)).field.any(), 'it does not go on by itself'
 
 
 def test_a_plan_beyond_the_limits_is_not_played():

@@ -116,3 +116,16 @@ def test_empty_path_lets_go_and_another_starts_anew():
     assert 'waiting' in command.progress.message
     controller.compute(controller_input(t=0.1, path=CIRCLE))
     assert not np.any(controller.compute(controller_input(t=0.2)).field)
+
+
+@pytest.mark.parametrize('place', [70e-6 + 40e-6j, 20e-6 + 30e-6j])
+def test_beside_the_end_of_a_path_is_not_at_its_end(place):
+    """The end is the nearest point, and nothing is left of the path from there."""
+    controller = PathFollowing()
+    controller.configure(PathFollowingParameters())
+    path = np.column_stack((np.linspace(0, 20e-6, 21), np.zeros(21)))
+    position = np.array([[place.real, place.imag]])
+    outcome = controller.compute(controller_input(1, position=position, path=path))
+    assert outcome.field.any()
+    assert not outcome.progress.done
+    assert outcome.progress.distance == pytest.approx(abs(place - 20e-6), rel=0.02)

@@ -170,6 +170,14 @@ def test_open_loop_plays_each_row_until_the_next():
     assert [command.progress.done for command in commands] == [False] * 4 + [True] * 2
 
 
+def test_open_loop_ends_where_the_clock_is_set_back():
+    loop = OpenLoop()
+    loop.configure(OpenLoopParameters(directions_deg=[0.0], durations_s=[2.0]))
+    before, *after = play(loop, [1.0, -3600.0, 1.0])
+    assert before.field.any()
+    assert not any(command.field.any() for command in after)
+
+
 def test_open_loop_repeats():
     loop = OpenLoop()
     loop.configure(OpenLoopParameters(

@@ -1,6 +1,7 @@
 """Courses, made-up fields, goals and whose they are."""
 
 import cmath
+import dataclasses
 import math
 
 import numpy as np
@@ -137,3 +138,15 @@ def test_assignment_keeps_each_goal_with_its_particle():
     assert goals[:, 0].tolist() == [20e-6, 30e-6]
     with pytest.raises(ParticleLostError):
         assignment.pairs(controller_input(1, ids=np.array([9])))
+
+
+def test_the_same_goals_sent_again_after_they_were_done_start_anew():
+    sequence, place = GoalSequence(), np.array([[0.0, 0.0]])
+    first = Goals(np.array([[0.0, 0.0], [1e-6, 0.0]]), stamp=1.0)
+    sequence.update(controller_input(1, position=place, goals=first), -1)
+    sequence.done = True
+    sequence.update(controller_input(1, position=place, goals=first), -1)
+    assert sequence.done
+    sequence.update(controller_input(1, position=place, goals=dataclasses.replace(
+        first, stamp=2.0)), -1)
+    assert not sequence.done

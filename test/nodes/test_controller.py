@@ -249,9 +249,13 @@ class Armed:
         self._loop = loop
         self._publisher = loop.graph.talk(Bool, 'coil_driver/armed', LATCHED)
 
+    def say(self, armed: bool) -> None:
+        """Say so."""
+        self._publisher.publish(Bool(data=armed))
+
     def is_(self, armed: bool) -> None:
         """Say so, and wait until the controller knows it."""
-        self._publisher.publish(Bool(data=armed))
+        self.say(armed)
         self._loop.graph.until(lambda: self._loop.node.stage.armed is armed)
 
 
@@ -297,6 +301,18 @@ def test_what_was_being_carried_out_is_forgotten_when_disarmed(ros: Any) -> None
     driver.is_(True)
     loop.see()
     loop.graph.until(lambda: loop.node.health()[1].endswith('waits for a goal'))
+
+
+def test_a_disarm_that_came_while_it_was_held_up_is_not_missed(ros: Any) -> None:
+    loop = Loop(ros, controller='waypoint')
+    driver = Armed(loop)
+    driver.is_(True)
+    loop.go((50e-6, 0.0))
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 1)
+    for armed in (False, True):  # nobody spins meanwhile
+        driver.say(armed)
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 0)
+    loop.graph.until(lambda: loop.node.stage.armed)
 
 
 def test_a_stick_held_while_arming_has_to_be_centred_once(ros: Any) -> None:

@@ -8,6 +8,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -122,13 +123,18 @@ def _dark(here: Stand, _: DrivenRig) -> None:
     here.rig.dark = True
 
 
+def _silent(here: Stand, _: DrivenRig) -> None:
+    here.graph.nodes['coil_driver']._diagnostics = SimpleNamespace(publish=lambda _: None)
+
+
 def _told(_: Stand, rig: DrivenRig) -> None:
     rig.tell_to_end()
 
 
 @pytest.mark.parametrize(('go_wrong', 'reason'), [
     (_operator, 'an operator let'), (_disarmed, 'the gate is disarmed'),
-    (_gone, 'no particle has been seen'), (_dark, 'seen'), (_told, 'a stop was requested')])
+    (_gone, 'no particle has been seen'), (_dark, 'seen'),
+    (_silent, 'the coil driver published nothing'), (_told, 'a stop was requested')])
 def test_what_goes_wrong_stops_the_plan_and_leaves_the_rig_at_rest(
         stand: Stand, client: GraphClient, patience: Callable[..., None],
         go_wrong: Callable[..., None], reason: str) -> None:
@@ -141,7 +147,7 @@ def test_what_goes_wrong_stops_the_plan_and_leaves_the_rig_at_rest(
         assert reason in played.stopped or 'said nothing' in played.stopped
         again = rig.play(SHORT).stopped
         assert again.split('; zero')[0] == played.stopped.split('; zero')[0] or go_wrong in (
-            _gone, _dark)
+            _gone, _dark, _silent)
     assert stand.controller == ('open_loop' if go_wrong is _operator else 'hold')
     assert len(kept) >= 1
     if go_wrong is not _operator:

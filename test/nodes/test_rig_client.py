@@ -67,6 +67,17 @@ def test_arming_is_asked_for_once_and_then_ended() -> None:
     assert service.pending == 0
 
 
+def test_arming_that_is_given_up_is_ended() -> None:
+    """As by Ctrl-C while the driver checks its coils."""
+    service = Service(None)
+    steps = client('coil_driver/arm', service).arm()
+    next(steps)
+    steps.send(True)
+    assert [request.data for request in service.asked] == [True]
+    steps.close()
+    assert [request.data for request in service.asked] == [True, False]
+
+
 def test_a_stop_is_repeated_and_says_that_the_driver_is_not_reachable() -> None:
     service = Service(seen=False)
     with pytest.raises(RigError, match=r'^not reachable: coil_driver did not answer within 3 s; '):

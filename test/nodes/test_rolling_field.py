@@ -141,6 +141,16 @@ def test_a_controller_answers_in_three_axes(emulator: Any, ros: Any, tmp_path: P
     assert np.linalg.norm(field, axis=1) == pytest.approx(B, rel=0.01)
 
 
+def test_it_turns_again_after_the_clock_was_set_back(
+        graph: Any, emulator: Any, monkeypatch: Any) -> None:
+    driver = graph.nodes['coil_driver']
+    graph.until(lambda: not emulator.zero or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0)))
+    graph.until(lambda: emulator.zero or _turn(graph, (0, 0, 0), (0, 0, 0)))
+    seconds = driver.seconds
+    monkeypatch.setattr(driver, 'seconds', lambda: seconds() - 60.0)
+    graph.until(lambda: not emulator.zero or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0)))
+
+
 def test_a_rotation_of_long_ago_is_not_driven(graph: Any, emulator: Any) -> None:
     driver = graph.nodes['coil_driver']
     graph.until(lambda: driver._refused > 3

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from microbot_ros.common.records import Commands
 from microbot_ros.control.contract import (
     Controller,
@@ -43,8 +45,10 @@ class Experiment(Controller):
             return no_field('waiting for a plan')
         check_limits(plan, inputs.limits)
         elapsed, length = inputs.t - self._begun, float(plan.t[-1])
-        if not 0 <= elapsed < length:
-            return no_field('the plan has been played', done=elapsed >= length)
+        if elapsed < 0:  # the clock was set back: it must not go on by itself one day
+            self._begun, elapsed = -math.inf, math.inf
+        if elapsed >= length:
+            return no_field('the plan has been played', done=True)
         return FieldCommand(plan.field_at(elapsed), float(plan.frequency_at(elapsed)),
                             Progress(f'{elapsed:.1f} of {length:.1f} s of a plan'))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,8 @@ class OpenLoop(Controller):
         elapsed = inputs.t - self._begun
         if self.parameters.repeat:
             elapsed %= self._length
+        elif elapsed < 0:  # the clock was set back: it must not go on by itself one day
+            self._begun, elapsed = -math.inf, math.inf
         if elapsed >= self._length:
             return no_field('the list has been played', done=True)
         progress = Progress(f'{elapsed:.1f} of {self._length:.1f} s')

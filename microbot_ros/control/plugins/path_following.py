@@ -127,6 +127,9 @@ class PathFollowing(Controller):
         message = f'particle {self._particle}: {left * 1e6:+.2f} µm off the path'
         if not route.closed and to_go <= lookahead:
             hold = units.to_si('hold_radius_um', self.parameters.hold_radius_um)
-            return approach(route.end - place, hold), Progress(message, True, to_go)
+            away = abs(route.end - place)
+            there = away <= lookahead + 2 * hold  # not where the end is only the nearest point
+            return approach(route.end - place, hold), Progress(
+                message, there, to_go if there else away)
         course = cmath.phase(way) - math.atan(left / lookahead)
         return course, Progress(message, False, math.nan if route.closed else to_go)

@@ -17,6 +17,8 @@ EXPECTED_DRIFT = 1e-6
 """Choice: prior standard deviation of the drift [m/s]."""
 WELL_ENOUGH = 0.2
 """Choice: relative standard deviation of the response below which it is used."""
+SET_BACK = 1.0
+"""Choice: step back in time [s] beyond which the clock was set back, as in the estimation."""
 
 
 class DriftCompensator:
@@ -60,6 +62,9 @@ class DriftCompensator:
         if observer is None or self._particle != inputs.ids[row]:
             observer = self._observer = _start(inputs, row, measured)
             self._particle, self._seen = int(inputs.ids[row]), exposed
+        elif exposed < since - SET_BACK:
+            observer.jump(0.0, measured, sigma)
+            self._seen = exposed
         elif exposed > since:
             if record.reaches(since):
                 shared = record.shared(since, exposed, self._rolling)

@@ -19,7 +19,7 @@ class GoalSequence:
     The particle is the requested one, else the first that the goals name, else the one nearest to
     the first goal. A chosen one that is lost is replaced by the one nearest to its last position,
     which may be the same under a new id. Goals that name particles are used for that one only. A
-    new list starts from its first goal.
+    new list starts from its first goal, and so does one that is sent again after it was done.
     """
 
     def __init__(self) -> None:
@@ -29,6 +29,7 @@ class GoalSequence:
         self._named = False
         self._position = NO_PLACES
         self._goals: Goals | None = None
+        self._stamp = 0.0
         self._workspace: Workspace | None = None
         self._seen: np.ndarray | None = None
 
@@ -62,7 +63,10 @@ class GoalSequence:
         position = inputs.goals.position
         if inputs.goals.ids is not None:
             position = position[inputs.goals.ids == named]
-        if not np.array_equal(position, self._position) or (named >= 0 and named != self.particle):
+        again = self.done and inputs.goals.stamp != self._stamp
+        other = named >= 0 and named != self.particle
+        self._stamp = inputs.goals.stamp
+        if again or other or not np.array_equal(position, self._position):
             self._position, self._next, self.done = position, 0, False
             self._seen = None
             self.particle = named

@@ -29,6 +29,9 @@ from microbot_ros.nodes.base.parameters import ParameterSet, refuse_unknown
 NEWEST = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 """Keep the last message for later subscribers; depth 1 by definition."""
+CHANGES_IN = QoSProfile(depth=10, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+"""Receive each change of a latched topic: a delayed node must not miss one. Choice: more than come
+while a node is busy."""
 # A best-effort subscriber matches every publisher of images, a reliable one only some.
 IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 IMAGES_OUT = QoSProfile(depth=5)  # choice: a slow reader may be five frames late

@@ -56,7 +56,7 @@ class DrivenRig:
         self._origin = math.nan
         self._armed: bool | None = None
         self._said: dict[str, str] = {}
-        self._heard = self._seen = -math.inf
+        self._heard = self._seen = self._told = -math.inf
         self._complaint, self._ending = '', False
         self._thinking = threading.Event()
         self._listener: threading.Thread | None = None
@@ -124,7 +124,7 @@ class DrivenRig:
             return Played(self._recorded(), stopped)
         rolling = self.limits.frequency
         after = marking_time(float(plan.angle[-1]), self.limits.field, rolling and rolling[1])
-        self._seen = self._heard = time.monotonic()
+        self._seen = self._heard = self._told = time.monotonic()
         self._client.send_plan(_ended(plan.then(after)))
         deadline = time.monotonic() + plan.duration
         while not stopped and (left := deadline - time.monotonic()) > 0:
@@ -172,6 +172,9 @@ class DrivenRig:
             return f'no particle has been seen for {PATIENCE.unseen_s:g} s'
         if math.isfinite(self._heard) and now - self._heard > PATIENCE.unseen_s:
             return f'the controller published nothing for {PATIENCE.unseen_s:g} s'
+        unheard_s = 2 * PATIENCE.unseen_s  # it reports once a second only
+        if math.isfinite(self._told) and now - self._told > unheard_s:
+            return f'the coil driver published nothing for {unheard_s:g} s'
         return ''
 
     def _recorded(self) -> Session:
@@ -195,7 +198,7 @@ class DrivenRig:
 
     def _on_health(self, node: str, level: bytes, sentence: str, values: dict[str, str]) -> None:
         if node == 'coil_driver' and 'armed' in values:
-            self._armed = values['armed'] == 'True'
+            self._armed, self._told = values['armed'] == 'True', time.monotonic()
             self._complaint = '' if level == b'\0' else sentence
 
 

@@ -72,16 +72,19 @@ class OperatedRig(RigView):
         self._described: Described | None = None
         self._outdated = False
         self._handing_over, self._noting = asyncio.Lock(), asyncio.Lock()
+        self._adding = asyncio.Lock()
 
     def _on_progress(self, message: DiagnosticStatus) -> None:
         super()._on_progress(message)
         self._client.hear({pair.key: pair.value for pair in message.values})
 
     def _on_changes(self, event: ParameterEvent) -> None:
-        """Note a change of the controller's parameters; called in the executor's thread."""
+        """Note changed parameters, and a new tracker; called in the executor's thread."""
         place = self._node.get_namespace().rstrip('/')
         if event.node == f'{place}/controller':
             self._outdated = True
+        elif event.node == f'{place}/tracker' and event.new_parameters:
+            self._camera = None  # it has started, perhaps with another calibration
 
     async def _perform(self, steps: Steps[T]) -> T:
         """Serve the event loop while the steps of a request wait; return their result."""
@@ -131,9 +134,13 @@ class OperatedRig(RigView):
             self._described = None  # gone; another may come
         elif self._described is None or self._outdated:
             self._outdated = False
-            known = self._described or Described(
-                await self._perform(self._client.describe('controller')))
-            values = await self._perform(self._client.get('controller', *known.names))
+            try:
+                known = self._described or Described(
+                    await self._perform(self._client.describe('controller')))
+                values = await self._perform(self._client.get('controller', *known.names))
+            except RefusedError:
+                self._outdated = True
+                raise
             self._described = known.with_values([*values.values()])
         if not self.calibrated:
             self.use_calibration(
@@ -194,14 +201,15 @@ class OperatedRig(RigView):
         Answer
             Answer of the controller.
         """
-        if self._taken_path:
-            await self._hand_over(self._client.send_path([]))
-        if particle is None:
-            return await self._send_there(self._client.send_goals([_metres(x_um, y_um)]))
-        goals = {goal['id']: _metres(goal['x_um'], goal['y_um'])
-                 for goal in self.goals() if goal['id'] is not None}
-        goals[particle] = _metres(x_um, y_um)
-        return await self._send_there(self._client.send_goals([*goals.values()], [*goals]))
+        async with self._adding:  # the goals of a request before must be among the present ones
+            if self._taken_path:
+                await self._hand_over(self._client.send_path([]))
+            if particle is None:
+                return await self._send_there(self._client.send_goals([_metres(x_um, y_um)]))
+            goals = {goal['id']: _metres(goal['x_um'], goal['y_um'])
+                     for goal in self.goals() if goal['id'] is not None}
+            goals[particle] = _metres(x_um, y_um)
+            return await self._send_there(self._client.send_goals([*goals.values()], [*goals]))
 
     async def clear_goals(self) -> Answer:
         """Cancel all goals and the path.

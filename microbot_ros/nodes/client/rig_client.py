@@ -144,6 +144,9 @@ class RigClient:
             except RigError as error:
                 disarmed = f'disarm requested; no answer: {error}'
             raise RigError(f'{silence}; {disarmed}') from None
+        except GeneratorExit:  # the caller gave up before the answer, as on Ctrl-C
+            self._service(SetBool, 'coil_driver/arm').call_async(SetBool.Request(data=False))
+            raise
 
     def stop(self, now: bool = False) -> Steps[str]:
         """Zero the coils and disarm.
