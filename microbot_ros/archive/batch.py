@@ -25,7 +25,7 @@ from microbot_ros.archive.recordings import (
     pairs,
 )
 from microbot_ros.archive.store import REPORT, Archive
-from microbot_ros.archive.work import READS, Job, Task
+from microbot_ros.archive.work import READS, Job, Task, is_done
 from microbot_ros.common.errors import InputError, ReportError
 from microbot_ros.common.files import read_yaml, writing_report
 from microbot_ros.session.spreadsheets.sheets import Answers
@@ -166,7 +166,7 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
         if not summary.found:
             raise InputError(', '.join(map(str, folders)), 'expected recordings; found none')
         archive.save()
-        if (known := archive.findings()) is not None:
+        if (known := archive.findings()) is not None and all(map(is_done, jobs)):
             _count(archive, jobs, summary)
             return summary, known
         stopped: BaseException | None = None
@@ -306,7 +306,7 @@ def _settings(task: Task, recording: Found, settings: dict[str, Any]) -> dict[st
 def _do(archive: Archive, jobs: Sequence[Job], client: Callable[[], Client], summary: Summary,
         report: Callable[[Progress], None]) -> None:
     """Run the jobs that are not done."""
-    missing = [job for job in {job.key: job for job in jobs}.values() if not job.result.exists()]
+    missing = [job for job in {job.key: job for job in jobs}.values() if not is_done(job)]
     doing, began = {'measure': 'comparing'}.get(summary.task, summary.task), time.monotonic()
     finished: set[str] = set()
 

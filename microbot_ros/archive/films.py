@@ -227,7 +227,10 @@ def compare(tracks: Path, session: Session, frames: int, pixel_size: float) -> l
         own = session.tracks.of(robot)
         place = np.column_stack([np.interp(times, own.t, sign * axis / pixel_size)
                                  for sign, axis in zip((1, -1), own.position.T, strict=True)])
-        place[np.abs(times[:, None] - own.t).min(axis=1) > np.median(np.diff(times)) / 2] = np.nan
+        later = np.clip(np.searchsorted(own.t, times), 1, max(len(own.t) - 1, 1)) - 1
+        near = np.minimum(*(np.abs(times - own.t[np.minimum(later + one, len(own.t) - 1)])
+                            for one in (0, 1)))
+        place[near > np.median(np.diff(times)) / 2] = np.nan
         agreed = [one for name in sorted(free)
                   if (one := _agreement(robot, name, *seen[name], place)) is not None]
         if agreed:

@@ -30,14 +30,15 @@ def imported(archive: Archive) -> dict[str, Any]:
         `pixel_sizes`: {folder: {pixel size [µm]: recordings}}; `sentences` on folders with
         several.
     """
-    made = {archive.entries[path].name: result
-            for path, result in archive.results('import').items() if 'session' in result}
+    # Two folders may have the same name.
+    made = [(archive.entries[path].name, result)
+            for path, result in archive.results('import').items() if 'session' in result]
     holders: dict[str, list[str]] = {}
-    for name, result in made.items():
+    for name, result in made:
         for sentence in result['remarks']:
             holders.setdefault(sentence, []).append(name)
     sizes: dict[str, dict[float, list[str]]] = {}
-    for name, result in made.items():
+    for name, result in made:
         if result.get('pixel_size_um'):
             of = sizes.setdefault(str(Path(name).parent), {})
             of.setdefault(result['pixel_size_um'], []).append(name)

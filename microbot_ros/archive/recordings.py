@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from microbot_ros.common.errors import InputError
+from microbot_ros.common.errors import InputError, one_line
 from microbot_ros.session.mcap.bag import METADATA_FILE
 from microbot_ros.session.spreadsheets.columns import find_columns
 from microbot_ros.session.spreadsheets.sheets import SAVE_AS_XLSX, UTF_16, read_sheets
@@ -115,7 +115,7 @@ class Refused:
             The refusal.
         """
         reason = error if isinstance(error, str) else error.strerror or str(error)
-        return cls(str(path.relative_to(top.parent)), reason, str(top))
+        return cls(one_line(str(path.relative_to(top.parent))), reason, str(top))
 
 
 class FileCards:
@@ -232,16 +232,26 @@ def find(folders: Sequence[Path], cards: FileCards) -> Iterator[Found | Refused]
         top = folder.resolve()
         if not top.is_dir():
             raise InputError(folder, 'expected a folder of recordings')
-        for place, names, files in os.walk(top):
+        closed: list[OSError] = []
+        for place, names, files in os.walk(top, onerror=closed.append):
             here = Path(place)
-            names[:] = sorted(n for n in names if not n.startswith(_HIDDEN)
-                              and not (here / n / MARK).is_dir())
+            for name in filter(_is_no_text, [*names, *files]):
+                yield Refused.of(here / name, top, 'expected a name in UTF-8; rename it')
+            names[:] = sorted(n for n in names if not n.startswith(_HIDDEN) and not _is_no_text(n)
+                              and not os.path.isdir(here / n / MARK))
             if here in seen:
                 names.clear()
                 continue
             seen.add(here)
-            visible = sorted(here / f for f in files if not f.startswith(_HIDDEN) and f != LABELS)
+            visible = sorted(here / f for f in files if not f.startswith(_HIDDEN) and f != LABELS
+                             and not _is_no_text(f))
             yield from _in_folder(here, [f for f in visible if f.is_file()], top, cards)
+        yield from (Refused.of(Path(error.filename), top, error) for error in closed)
+
+
+def _is_no_text(name: str) -> bool:
+    """Return whether a name of a file is not in UTF-8, as on disks of old systems."""
+    return any('\ud800' <= c <= '\udfff' for c in name)
 
 
 def _in_folder(here: Path, files: list[Path], top: Path, cards: FileCards,

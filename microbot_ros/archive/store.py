@@ -253,10 +253,12 @@ class Archive:
         """
         target = self.folder / SESSIONS / session
         beside = recording if recording.is_dir() else recording.parent
-        for name in _COMPANIONS:
-            if (beside / name).is_file() and not (target / name).exists():
-                shutil.copyfile(beside / name, target / name)
         entry = self.entries[str(recording)]
+        for name in _COMPANIONS:
+            # An import writes what its table states; a film states nothing of the kind.
+            if (beside / name).is_file() and (
+                    entry.kind == 'film' or not (target / name).exists()):
+                shutil.copyfile(beside / name, target / name)
         said = {'rig': entry.rig, 'batch': entry.batch, 'kind': entry.particle_kind,
                 'recorded': entry.day}
         known = [f'{key}: {json.dumps(value, ensure_ascii=False) if key != "recorded" else value}'

@@ -40,7 +40,10 @@ def rows(archive: Archive, present: Mapping[str, list[str]]) -> Iterator[dict[st
     """
     fitted, discovered = archive.results('fit'), archive.results('discover')
     names = Counter(entry.name for entry in archive.entries.values())
-    for path in sorted({*fitted, *discovered}, key=lambda one: archive.entries[one].name):
+    searched = [path for path, one in discovered.items() if 'result' in one]
+    # A recording may be fitted in one place and its copy be searched in another.
+    paths = {archive.entries[path].content: path for path in (*fitted, *searched)}
+    for path in sorted(paths.values(), key=lambda one: archive.entries[one].name):
         task = 'discover' if 'result' in discovered.get(path, {}) else 'fit'
         result = discovered[path] if task == 'discover' else fitted.get(path, {})
         told = result.get('result') or result.get('fit')

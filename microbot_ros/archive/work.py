@@ -41,6 +41,12 @@ SESSIONS = 'sessions'
 REPORTS = 'reports'
 """Folder of an archive with the report of each session that was searched."""
 
+_MAKE_SESSIONS = ('track', 'import')
+"""Tasks that make a session."""
+_MADE_BY = '.job'
+"""Hidden file of a made session with the key of its job: another job, of the same recording with
+other settings, makes its session in the same folder."""
+
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -139,7 +145,9 @@ def do(job: Job) -> str:
     """
     if job.version != __version__:
         raise VersionError(f'microbot_ros {__version__}; the client has {job.version}')
-    if not job.result.exists():
+    if not is_done(job):
+        if job.task in _MAKE_SESSIONS:
+            (made_session(job) / _MADE_BY).unlink(missing_ok=True)
         try:
             outcome = _TASKS[job.task](job)
         except SummaryError as error:
@@ -150,8 +158,32 @@ def do(job: Job) -> str:
             if error.errno in _DISK:
                 raise
             outcome = {'refused': error.strerror or str(error)}
+        if job.task in _MAKE_SESSIONS and 'session' in outcome:
+            write_text(made_session(job) / _MADE_BY, job.key)
         write_text(job.result, json.dumps(outcome, ensure_ascii=False) + '\n')
     return job.key
+
+
+def is_done(job: Job) -> bool:
+    """Return whether a job has its result, and its session if it makes one.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+
+    Returns
+    -------
+    bool
+        Whether it is done.
+    """
+    if not job.result.exists():
+        return False
+    if (job.task not in _MAKE_SESSIONS
+            or 'session' not in json.loads(job.result.read_text(encoding='utf-8'))):
+        return True
+    mark = made_session(job) / _MADE_BY
+    return mark.is_file() and mark.read_text(encoding='utf-8') == job.key
 
 
 def _reason(error: InputError) -> str:
@@ -186,8 +218,12 @@ def _imported(files: Sequence[Path], given: dict[str, Any]) -> tuple[Session, li
     with tempfile.TemporaryDirectory() as scratch:
         # Readers rely on endings, which may be wrong; other tables may lie beside these.
         for file in files:
-            ending = '.xlsx' if file.read_bytes()[:2] == b'PK' else '.csv'
-            (Path(scratch) / f'{file.stem}{ending}').symlink_to(file)
+            with file.open('rb') as stream:
+                ending = '.xlsx' if stream.read(2) == b'PK' else '.csv'
+            link = Path(scratch) / f'{file.stem}{ending}'
+            if link.is_symlink():  # run.csv beside run.txt
+                link = link.with_name(f'{file.name}{ending}')
+            link.symlink_to(file)
         single = next(Path(scratch).iterdir()) if len(files) == 1 else Path(scratch)
         return import_session(single, answers)
 

@@ -47,7 +47,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
 
     if not session.exists():
         raise InputError(session, 'expected a session folder or a recording, found nothing')
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 150)
+    console = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 150)
     with console.status(f'reading {session}'):
         if is_recording(session):
             with open_recording(session) as recording:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,17 +58,22 @@ def command(sources: tuple[Path, ...], out: Path, against: Against, definition: 
     refuse_to_overwrite(out, _OUTPUTS, force)
     progress = Console(stderr=True, highlight=False, soft_wrap=True)
     with progress.status('reading') as status:
-        sessions = []
+        read: dict[Path, Labelled] = {}
         folders = _sessions(sources)
         for done, path in enumerate(folders):
             status.update(f'reading {done + 1} of {len(folders)}: {path.name}')
             try:
-                sessions.append(_labelled(path))
+                read[path.resolve()] = _labelled(path)
             except InputError as error:
                 if path in sources:
                     raise
                 # One of many sessions of an archive, such as a film without a pixel size.
                 progress.print(f'left out  {error}', markup=False)
+        # A robot is a particle of a session, and two folders may have the same name.
+        names = Counter(one.session.name for one in read.values())
+        sessions = [one if names[one.session.name] == 1 else
+                    replace(one, session=replace(one.session, name=str(path)))
+                    for path, one in read.items()]
         status.update(f'measuring {len(sessions)} sessions')
         found = respond_all(sessions, against, definition)
         if not found.rows:
@@ -119,11 +126,12 @@ def _labelled(path: Path) -> Labelled:
     from microbot_ros.archive.recordings import Found
     from microbot_ros.response.result import Labelled
     from microbot_ros.session import read_session
+    from microbot_ros.session.mcap.recording import is_recording
 
     session = read_session(path)
     place = path.resolve()
     top = place if place.is_dir() else place.parent
-    labels = labels_of(Found(place, 'session', top, ()))
+    labels = labels_of(Found(place, 'recording' if is_recording(place) else 'session', top, ()))
     return Labelled(session, labels.kind or '', labels.day.isoformat() if labels.day else '',
                     labels.rig or '')
 

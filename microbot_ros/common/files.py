@@ -259,8 +259,10 @@ def output_folder(path: str | Path, own: Iterable[str] = ()) -> Iterator[Path]:
     if path.exists() and not path.is_dir():
         raise InputError(path, 'expected a folder to write to, found a file')
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(dir=path.parent, prefix=f'.{path.name}.'))
+        # An existing folder may be a mount, a link to another disk, or the only one to write to.
+        place = path if path.is_dir() else path.parent
+        place.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(dir=place, prefix=f'.{path.name}.'))
     except OSError as error:
         problem = f'expected a writable folder ({error.strerror})'
         raise InputError(path, problem) from None

@@ -79,23 +79,8 @@ class ControllerCore(Core):
             raise InputError('controller', answer.message)
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
-        """Configure with changed parameters, then switch controllers.
-
-        The active controller is restarted after a fault if `controller` is among `named`. No frame
-        waits longer than for a controller that computes.
-
-        Parameters
-        ----------
-        changed : mapping of str to object
-            New values of each parameter set by its prefix.
-        named : collection of str
-            Names of the parameters that were set.
-
-        Returns
-        -------
-        str
-            Why the change is refused; '' if it is not.
-        """
+        # The active controller is restarted after a fault if `controller` is among `named`. No frame
+        # waits longer than for a controller that computes.
         answer = self.stage.configure(
             changed.get('', self.settings),
             {prefix.removesuffix('.'): values for prefix, values in changed.items() if prefix},

@@ -71,18 +71,7 @@ class PlayerNode(RigNode):
     """Messages that are due, and for which listeners had no room."""
 
     def veto(self, proposed: PlayerParameters) -> str:
-        """Change pace and position here, so that an impossible change is refused.
-
-        Parameters
-        ----------
-        proposed : PlayerParameters
-            New parameters.
-
-        Returns
-        -------
-        str
-            Why the change is refused; '' if it is not.
-        """
+        # Pace and position change here, so that an impossible change is refused.
         if not hasattr(self, '_playback'):
             return ''
         now, rate = time.monotonic(), proposed.rate or math.inf

@@ -89,22 +89,7 @@ class RecorderNode(RigNode):
         self.every(0.1, self._look_around)
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
-        """Keep title and notes that are set during a recording.
-
-        No text is removed.
-
-        Parameters
-        ----------
-        changed : mapping of str to object
-            New values of each parameter set by its prefix.
-        named : collection of str
-            Names of the parameters that were set.
-
-        Returns
-        -------
-        str
-            ''; nothing is refused.
-        """
+        # Title and notes that are set during a recording are kept; no text is removed.
         values: RecorderParameters = changed.get('', self.settings)
         writer: RecordingWriter | None = getattr(self, '_writer', None)
         for name in {'title', 'notes'} & {*named}:

@@ -296,7 +296,7 @@ def _still(commands: Commands, steps: _Steps) -> np.ndarray:
 
 def _drive(commands: Commands) -> np.ndarray:
     """Return the size of the drive of each command (K,); its change starts a new plateau."""
-    size = np.hypot(*commands.field.T)
+    size = _six_digits(np.hypot(*commands.field.T))  # components carry the error of rounding
     return size if commands.frequency is None else size * 1e6 + np.abs(commands.frequency)
 
 

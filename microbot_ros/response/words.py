@@ -55,7 +55,8 @@ def _of_kind(found: Response, group: Group) -> str:
         law = f', the law of all at {_interval(curve.step_out)} Hz' if group.steps_out else ''
         return (f'{said}, {len(single)} of {len(group.robots)} robots step out {where} Hz '
                 f'(95 %){law}')
-    lost = 1 - (last.speed.value / last.level) / (first.speed.value / first.level)
+    lost = (1 - (last.speed.value / last.level) / (first.speed.value / first.level)
+            if first.speed.value > 0 else 0.0)
     slips = (f', while the distance per turn falls by {100 * lost:.0f} %' if lost > 0.1 else '')
     return f'{said}, no step-out up to {last.level:g} Hz{slips}'
 

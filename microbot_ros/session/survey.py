@@ -220,6 +220,7 @@ def command_spread(commands: Commands, start: float, end: float) -> CommandSprea
     on = (magnitude > 0) & (held > 0)
     if frequency is not None:
         on &= frequency != 0
+        angle = angle + np.pi * (frequency < 0)
     time_on = held[on].sum()
     resultant = abs((held[on] * np.exp(1j * angle[on])).sum()) / time_on if time_on else 1.0
     turn = np.angle(np.exp(1j * np.diff(angle[on])))

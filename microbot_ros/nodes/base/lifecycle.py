@@ -158,22 +158,7 @@ class RigNode(LifecycleNode, Core):
         return self._parameters_of_node.values
 
     def publisher(self, kind: type, topic: str, qos: QoSProfile = RELIABLE) -> Publisher:
-        """Make a publisher that the next cleanup destroys.
-
-        Parameters
-        ----------
-        kind : type
-            Type of the messages.
-        topic : str
-            Name of the topic.
-        qos : QoSProfile
-            Quality of service.
-
-        Returns
-        -------
-        Publisher
-            The publisher.
-        """
+        # The next cleanup destroys it.
         made = self.create_publisher(kind, topic, qos)
         self._created.append((self.destroy_publisher, made))
         return made
@@ -181,23 +166,7 @@ class RigNode(LifecycleNode, Core):
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None],
                   qos: QoSProfile = RELIABLE, raw: bool = False,
                   on_matched: Callable[[Any], None] | None = None) -> None:
-        """Make a guarded subscription that the next cleanup destroys.
-
-        Parameters
-        ----------
-        kind : type
-            Type of the messages.
-        topic : str
-            Name of the topic.
-        callback : callable
-            Function that is called with each message.
-        qos : QoSProfile
-            Quality of service.
-        raw : bool
-            Whether messages are passed on as bytes.
-        on_matched : callable or None
-            Function that is called when a publisher comes or goes, before any message of it.
-        """
+        # Guarded; the next cleanup destroys it.
         if self.frame and not raw:
             callback = self.log.keeping(topic, callback)
         take = self._guarded(callback)
@@ -335,13 +304,7 @@ class RigNode(LifecycleNode, Core):
             self._transition('shutdown', self._end)
 
     def complain(self, sentence: str) -> None:
-        """Report a problem with an input on the log, and for 5 s on `/diagnostics`.
-
-        Parameters
-        ----------
-        sentence : str
-            Text for people.
-        """
+        # On the log, and for 5 s on `/diagnostics`.
         self._complaint = sentence
         self._complaint_until = time.monotonic() + 5.0
         self.get_logger().warning(sentence, throttle_duration_sec=1.0)

@@ -110,20 +110,12 @@ class OperatedRig(RigView):
     # What the server asks -------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """Return the whole state.
-
-        Returns
-        -------
-        dict of str to object
-            Part by its name; None for an unknown part.
-        """
         controller = self.controller()
         if controller is not None and self._described is not None:
             controller['parameters'] = self._described.of(controller['name'])
         return {**super().state(), 'controller': controller}
 
     async def keep_up(self) -> None:
-        """Request unknown or outdated parameters in an endless loop."""
         while True:
             with suppress(RefusedError):
                 await self._catch_up()
@@ -147,60 +139,22 @@ class OperatedRig(RigView):
                 await self._perform(self._client.get('tracker', *_CALIBRATION)))
 
     async def stop(self) -> Answer:
-        """Zero the coils and disarm, without checking first whether the driver is present.
-
-        Returns
-        -------
-        Answer
-            Answer of the driver.
-        """
+        # Without checking first whether the driver is present.
         return await self._perform(self._client.stop(now=True))
 
     async def arm(self) -> Answer:
-        """Arm; without an answer the driver is disarmed.
-
-        A driver that is not present is refused at once: otherwise STOP could come before it was
-        found.
-
-        Returns
-        -------
-        Answer
-            Answer of the driver.
-        """
+        # A driver that is not present is refused at once: otherwise STOP could come before it
+        # was found.
         return await self._perform(self._client.arm(now=True))
 
     def attend(self) -> None:
-        """Report the presence of an operator to the driver."""
         self._heartbeat.publish(Empty())
 
     def stick(self, x: float, y: float) -> None:
-        """Publish the position of the joystick once.
-
-        Parameters
-        ----------
-        x, y : float
-            Position from −1 to 1.
-        """
         now = self._node.get_clock().now().to_msg()
         self._joy.publish(Joy(header=Header(stamp=now, frame_id=messages.WORKSPACE), axes=[x, y]))
 
     async def goal(self, x_um: float, y_um: float, particle: int | None) -> Answer:
-        """Send one goal in place of the present ones, or the goal of one particle.
-
-        The goals of the other particles stay.
-
-        Parameters
-        ----------
-        x_um, y_um : float
-            Position [µm].
-        particle : int or None
-            Number of the particle; None for any.
-
-        Returns
-        -------
-        Answer
-            Answer of the controller.
-        """
         async with self._adding:  # the goals of a request before must be among the present ones
             if self._taken_path:
                 await self._hand_over(self._client.send_path([]))
@@ -212,29 +166,10 @@ class OperatedRig(RigView):
             return await self._send_there(self._client.send_goals([*goals.values()], [*goals]))
 
     async def clear_goals(self) -> Answer:
-        """Cancel all goals and the path.
-
-        Returns
-        -------
-        Answer
-            Answer of the controller.
-        """
         await self._hand_over(self._client.send_path([]))
         return await self._hand_over(self._client.send_goals([]))
 
     async def path(self, points_um: list[tuple[float, float]]) -> Answer:
-        """Send a path in place of the goals.
-
-        Parameters
-        ----------
-        points_um : list of tuple[float, float]
-            Points of the path [µm].
-
-        Returns
-        -------
-        Answer
-            Answer of the controller.
-        """
         if self.goals():
             await self._hand_over(self._client.send_goals([]))
         return await self._send_there(
@@ -250,36 +185,10 @@ class OperatedRig(RigView):
         return taken if self.armed else f'{taken}; not armed: nothing moves until it is'
 
     async def switch_controller(self, name: str) -> Answer:
-        """Switch to another controller.
-
-        Parameters
-        ----------
-        name : str
-            Name of the controller.
-
-        Returns
-        -------
-        Answer
-            Answer for the page.
-        """
         await self._perform(self._client.set('controller', controller=name))
         return f'{name.replace("_", " ")} drives'
 
     async def set(self, name: str, value: Any) -> Answer:
-        """Change a parameter of the controller that the page has received.
-
-        Parameters
-        ----------
-        name : str
-            Name of the parameter.
-        value : object
-            Its value.
-
-        Returns
-        -------
-        Answer
-            Answer for the page.
-        """
         if self._described is None:
             raise RefusedError('the parameters of the controller are not known yet')
         try:
@@ -290,44 +199,12 @@ class OperatedRig(RigView):
         return f'{name} is {value} now'
 
     async def teach(self, like: bool, x: float, y: float, kind: str | None, stamp: int) -> Answer:
-        """Show the tracker an example.
-
-        Parameters
-        ----------
-        like : bool
-            Whether it shows the kind to follow, or not.
-        x, y : float
-            Position [px].
-        kind : str or None
-            Name of the kind; None for the one that fits best.
-        stamp : int
-            Stamp of the frame [ns].
-
-        Returns
-        -------
-        Answer
-            Answer of the tracker.
-        """
         return await self._perform(self._client.teach(like, x, y, kind, stamp))
 
     def _hear_taught(self, message: DiagnosticStatus) -> None:
         self._client.taught = message
 
     async def record(self, on: bool, title: str) -> Answer:
-        """Begin or end a recording.
-
-        Parameters
-        ----------
-        on : bool
-            Whether to begin.
-        title : str
-            Title of the recording.
-
-        Returns
-        -------
-        Answer
-            Answer of the recorder.
-        """
         if on and not self._is_recording():
             await self._perform(self._client.set('recorder', title=title, notes=''))
         said = await self._perform(self._client.record(on))
@@ -337,18 +214,6 @@ class OperatedRig(RigView):
         return said
 
     async def note(self, text: str) -> Answer:
-        """Add a line to the notes of the recording, with the time of day.
-
-        Parameters
-        ----------
-        text : str
-            The line.
-
-        Returns
-        -------
-        Answer
-            Answer for the page.
-        """
         if not self._is_recording():
             raise RefusedError('nothing is being recorded')
         async with self._noting:

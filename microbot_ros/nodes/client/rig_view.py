@@ -26,7 +26,7 @@ from sensor_msgs.msg import (
 )
 from std_msgs.msg import Bool, String
 
-from microbot_ros.cockpit.rig import ParticleListener, PictureListener, zero_in
+from microbot_ros.cockpit.rig import ParticleListener, PictureListener, Rig, zero_in
 from microbot_ros.loop.points import GOAL, PARTICLE, PLACE
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import LATCHED, RigNode
@@ -59,7 +59,7 @@ _KIND = np.dtype([('kind', '<u4')])
 _LEVELS = {b'\0': 'ok', b'\1': 'warn', b'\2': 'error', b'\3': 'stale'}
 
 
-class RigView:
+class RigView(Rig):
     """Listener to all reports of a rig, which makes the page's state from them.
 
     Frequent topics are subscribed to only while a page is open. Subscriptions come and go in the
@@ -113,25 +113,9 @@ class RigView:
         node.subscribe(Path, 'controller/path', self._on_path, LATCHED)
 
     def watch(self, picture: PictureListener, particles: ParticleListener) -> None:
-        """Set the listeners of pictures and particles.
-
-        Parameters
-        ----------
-        picture : PictureListener
-            Function that is called with each picture.
-        particles : ParticleListener
-            Function that is called with the particles in it.
-        """
         self._picture, self._particles = picture, particles
 
     def look(self, wanted: bool) -> None:
-        """Set whether a page is open; callable from any thread.
-
-        Parameters
-        ----------
-        wanted : bool
-            Whether one is.
-        """
         self._wanted = wanted
 
     def update_subscriptions(self) -> None:
@@ -286,14 +270,6 @@ class RigView:
         return self._camera is not None or self._size is None
 
     def camera(self) -> dict[str, Any] | None:
-        """Return the geometry of the picture.
-
-        Returns
-        -------
-        dict of str to object or None
-            Size of the full picture and of a pixel, and the map `to_um`, whose rows a, b, c give a
-            x + b y + c [µm] of the pixel x, y. None until all are known.
-        """
         known = self._camera
         if known is None:
             return None
@@ -327,13 +303,6 @@ class RigView:
         return self._taken_goals
 
     def state(self) -> dict[str, Any]:
-        """Return the state without the parameters.
-
-        Returns
-        -------
-        dict of str to object
-            Part by its name; None for an unknown part.
-        """
         rig, sentence, age = self._rig()
         return {
             'rig': rig, 'sentence': sentence, 'zero': self._zero(rig),

@@ -255,8 +255,10 @@ def _frequency(vector: Any) -> float:
 
 
 def _rotating(content: Any) -> tuple[float, float, float]:
-    field = content.twist.linear
-    return field.x, field.y, _frequency(content.twist.angular)
+    field, rate = content.twist.linear, content.twist.angular
+    # A sphere on the floor that rotates with ω moves along ω × ẑ, here against the field.
+    back = field.x * rate.y - field.y * rate.x < 0
+    return field.x, field.y, -_frequency(rate) if back else _frequency(rate)
 
 
 _COMMANDS = ('field/command', 'field/rotating')

@@ -182,7 +182,8 @@ def _tracks(pieces: list[Tracks], path: Path) -> Tracks:
 
 
 def _frame_rate(tracks: Tracks, answers: Answers) -> float | None:
-    steps = np.diff(np.unique(tracks.t))
+    # Robots of several sheets may have times of their own, between those of the others.
+    steps = np.concatenate([np.diff(tracks.of(one).t) for one in tracks.particles])
     if answers.frame_rate or not len(steps):
         return answers.frame_rate
     rate = 1 / float(np.median(steps))

@@ -191,6 +191,8 @@ def _field(
     acts = np.nan_to_num(components).any(axis=1)
     if 'direction' in by_role and (rolls or not acts.any()):
         angle = angles(sheet, by_role['direction'], columns, answers, said)
+        if rotation is not None:  # a field that does not turn needs no direction
+            angle = np.where(rotation == 0, np.nan_to_num(angle), angle)
         if rotation is None:
             said.add(f'the field is taken as {NOMINAL_FIELD * 1e3:g} mT: the table states only '
                      'its direction')

@@ -22,6 +22,11 @@ _MOST_BACK = 0.02
 
 Intervals go back in a third to a half of the rows.
 """
+_FEWEST_UP = 10
+"""Choice: rows by which a column must go up more often than back to hold moments.
+
+Intervals go back as often as up. A robot that is seen for a few rows shows neither.
+"""
 _LOST_FRAMES = 10
 """Choice: frames that a counter may advance between two rows without the time for them.
 
@@ -286,7 +291,10 @@ def _are_intervals(
     if many_rows_a_time or not len(steps) or (steps > 0).all():
         return False
     usual = float(np.median(values))
-    steady = values.min() >= 0 and usual > 0 and (
+    up, back = int((steps > 0).sum()), int((steps < 0).sum())
+    # Moments that were rounded to equal ones, or a clock that was set back.
+    moments = back <= _MOST_BACK * len(steps) and up - back > _FEWEST_UP
+    steady = not moments and values.min() >= 0 and usual > 0 and (
         values.max() < _STEADY * usual
         or ((steps < 0).mean() > _MOST_BACK and np.quantile(values, 0.95) < _STEADY * usual))
     if not steady:

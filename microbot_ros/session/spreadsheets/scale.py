@@ -171,6 +171,12 @@ def settle_scale(path: Path, robots: Sequence[Part], timelines: Sequence[RowTime
     sheet, columns = robots[0]
     x = next(column for column in columns if column.role == 'x')
     unit = answers.position_unit or x.unit
+    for other, of in () if answers.position_unit else robots:
+        for column in of:
+            if column.role in ('x', 'y') and column.unit not in ('', x.unit):
+                raise InputError(other.place, f"expected positions in {x.unit[1:] or 'one unit'} "
+                                              f"as in '{sheet.names[x.index]}' of {sheet.name}, "
+                                              f"found '{other.names[column.index]}'")
     found = _common_ratio(robots, timelines, answers.ignore_speed)
     window = found.ratio.window if found and found.ratio.exact else None
     if answers.ignore_speed:

@@ -197,6 +197,8 @@ def _read_spreadsheet(path: Path) -> list[tuple[Sheet, list[str]]]:
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
+            for page in book.worksheets:
+                page.reset_dimensions()  # some programs state fewer rows than they write
             pages = [(page.title, list(page.iter_rows(values_only=True)))
                      for page in book.worksheets]
         finally:
