@@ -150,6 +150,49 @@ def test_tables_become_sessions_that_can_be_fitted(tables, tmp_path):
     assert found['sessions'] == 5
 
 
+def imported_with(pixel_size, folder, out):
+    """Summary and positions [px] of the only session, after an import with this pixel size."""
+    answers = vars(Answers(pixel_size=pixel_size))
+    summary, _ = batch.run_batch('import', [folder], out, {'answers': answers})
+    [made] = (out / 'sessions').iterdir()
+    session = read_session(made)
+    assert session.conditions.pixel_size == pixel_size
+    return summary, session.tracks.position[-1, 0] / pixel_size
+
+
+def test_a_session_has_the_settings_of_the_last_run(tmp_path):
+    folder, out = tmp_path / 'tables', tmp_path / 'out'
+    folder.mkdir()
+    (folder / 'a.csv').write_text(TABLE.replace('um', 'px'))
+    for size in (0.25e-6, 0.5e-6, 0.25e-6):
+        summary, at = imported_with(size, folder, out)
+        assert (summary.done, summary.kept, at) == (1, 0, 19)
+    summary, at = imported_with(0.25e-6, folder, out)
+    assert (summary.done, summary.kept, at) == (0, 1, 19)
+
+
+def test_a_session_that_was_deleted_is_made_again(tables, tmp_path):
+    out = tmp_path / 'out'
+    run('import', tables, out)
+    gone = sorted((out / 'sessions').iterdir())[2]
+    shutil.rmtree(gone)
+    summary, found = run('import', tables, out)
+    assert (summary.done, summary.kept, found['imported']['sessions']) == (1, 4, 5)
+    assert len(read_session(gone).tracks.t) == 21
+
+
+@pytest.mark.parametrize('table', ['run.txt', 'run.tsv'])
+def test_tables_that_differ_in_their_ending_are_imported_together(tmp_path, table):
+    (tmp_path / 'col').mkdir()
+    (tmp_path / 'col' / 'run.csv').write_text(TABLE)
+    (tmp_path / 'col' / table).write_text('time (s);bx (mT);by (mT)\n0;5;0\n1;0;5\n')
+    summary, _ = run('import', tmp_path / 'col', tmp_path / 'out')
+    assert summary.refused == {}
+    [made] = (tmp_path / 'out' / 'sessions').iterdir()
+    session = read_session(made)
+    assert (len(session.tracks.t), len(session.commands.t)) == (20, 2)
+
+
 def test_a_folder_of_robots_and_a_renamed_book_are_imported(tmp_path):
     folder = tmp_path / 'mixed'
     (folder / 'robots').mkdir(parents=True)
@@ -184,6 +227,22 @@ def test_films_become_sessions(tmp_path):
     step = session.tracks.of(int(session.tracks.particles[0])).position
     # One pixel a frame, to the right: half a micrometre.
     assert np.diff(step[:, 0]).mean() == pytest.approx(0.5e-6, rel=0.02)
+
+
+def test_what_is_corrected_beside_a_film_reaches_its_session(tmp_path):
+    place, out = tmp_path / 'films', tmp_path / 'out'
+    place.mkdir()
+    write_film(place / 'film.avi', SPOTS[:10])
+    for size, row in ((0.5, '0,5,0'), (0.25, '0,5,0'), (0.25, '0,0,7')):
+        (place / 'session.yaml').write_text(f'pixel_size_um: {size}\n')
+        (place / 'commands.csv').write_text(f't_s,bx_mT,by_mT\n{row}\n')
+        run('track', place, out)
+        [made] = (out / 'sessions').iterdir()
+        session = read_session(made)
+        assert session.conditions.pixel_size == pytest.approx(size * 1e-6)
+        assert np.ptp(session.tracks.position[:, 1]) == pytest.approx(40 * size * 1e-6, rel=0.02)
+        field = np.array([row.split(',')[1:]], float) * 1e-3
+        np.testing.assert_allclose(session.commands.field, field)
 
 
 def test_a_film_is_tracked_as_microbot_track_does(tmp_path):

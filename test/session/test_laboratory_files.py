@@ -179,6 +179,20 @@ def test_two_tables_of_commands_are_refused(tmp_path, walk):
         import_session(book(tmp_path / 'a.xlsx', walk, twice), Answers())
 
 
+def test_rows_beyond_the_stated_size_of_a_sheet_are_read(tmp_path):
+    """Some programs state fewer rows and columns than they write."""
+    path, short = tmp_path / 'whole.xlsx', tmp_path / 'a.xlsx'
+    t = np.arange(50) / 20
+    write(path, {'Robot 1': {'t_s': t, 'x_um': 10 * t, 'y_um': 0 * t}})
+    with zipfile.ZipFile(path) as whole, zipfile.ZipFile(short, 'w') as stated:
+        for name in whole.namelist():
+            stated.writestr(name, whole.read(name).replace(b'ref="A1:C51"', b'ref="A1:B20"'))
+    assert b'<dimension ref="A1:B20"' in zipfile.ZipFile(short).read('xl/worksheets/sheet1.xml')
+    tracks = import_session(short, Answers())[0].tracks
+    assert tracks.t.tolist() == t.tolist()
+    np.testing.assert_allclose(tracks.position[:, 0], 1e-5 * t)
+
+
 @pytest.mark.parametrize('damage', ['cut', 'flip', 'xml', 'lock', 'text', 'empty'])
 def test_damaged_workbooks_are_refused_by_one_line(tmp_path, walk, damage):
     path = book(tmp_path / 'a.xlsx', walk)

@@ -261,6 +261,24 @@ def test_what_people_say_of_times_overrules_what_they_look_like(tmp_path):
     np.testing.assert_allclose(session.tracks.t, [1e-3, 3e-3, 7e-3])
 
 
+@pytest.mark.parametrize(('t', 'line'), [
+    ([*range(30), 29, *range(30, 40)], 32), ([*range(30), 28.9, *range(30, 60)], 32),
+    (np.round(np.arange(40) / 1.2), 5)], ids=['repeats', 'goes back', 'rounded'])
+@pytest.mark.parametrize('heading', ['t_s', 't'])
+def test_moments_of_which_one_repeats_or_goes_back_are_no_intervals(tmp_path, heading, t, line):
+    rows = ''.join(f'{0.03 * one:.3f},{k},0\n' for k, one in enumerate(t))
+    with pytest.raises(InputError, match=f"expected ascending times in '{heading}'") as refusal:
+        import_session(small(tmp_path, f'{heading},x_um,y_um\n{rows}'), Answers())
+    assert refusal.value.line == line
+
+
+def test_robots_below_each_other_without_an_identity_are_no_intervals(tmp_path):
+    rows = ''.join(f'{name},{k / 20},{k},{90 * name}\n' for name in (1, 2) for k in range(40))
+    with pytest.raises(InputError, match='expected ascending times') as refusal:
+        import_session(small(tmp_path, 'Object,t_s,x_um,y_um\n' + rows), Answers())
+    assert refusal.value.line == 42
+
+
 def test_dates_of_a_spreadsheet_are_times(tmp_path):
     start = datetime(2024, 3, 31, 1, 59, 59)
     stamps = [start + timedelta(milliseconds=500 * i) for i in range(4)]
@@ -279,6 +297,24 @@ def test_a_direction_without_frequency_or_size_is_a_field_of_1_mT(tmp_path):
     np.testing.assert_allclose(session.commands.field, [[0, 1e-3], [-1e-3, 0]], atol=1e-18)
     assert session.commands.frequency is None
     assert any('1 mT' in sentence for sentence in said)
+
+
+@pytest.mark.parametrize('blank', ['', '90'])
+def test_a_drive_that_is_off_needs_no_direction(tmp_path, blank):
+    """A row with frequency 0 is a command to stop, whatever its direction."""
+    rows = ''.join(f'{k},{k},0,{"0,5" if k // 10 % 2 == 0 else f"{blank},0"}\n'
+                   for k in range(40))
+    path = small(tmp_path, 't_s,x_um,y_um,direction_deg,frequency_hz\n' + rows)
+    commands = import_session(path, Answers(angle_offset=0.0))[0].commands
+    assert commands.t.tolist() == [0, 10, 20, 30]
+    assert commands.frequency.tolist() == [5, 0, 5, 0]
+    np.testing.assert_allclose(commands.field[::2], [[1e-3, 0]] * 2, atol=1e-18)
+
+
+def test_a_drive_whose_direction_is_not_known_is_no_command(tmp_path):
+    rows = 't_s,x_um,y_um,direction_deg,frequency_hz\n0,0,0,0,5\n1,1,0,,5\n2,2,0,0,4\n'
+    commands = import_session(small(tmp_path, rows), Answers(angle_offset=0.0))[0].commands
+    assert commands.t.tolist() == [0, 2]
 
 
 @pytest.mark.parametrize(('field', 'said'), [
@@ -313,6 +349,37 @@ def test_the_common_clock_begins_with_the_first_robot_and_ends_with_the_last(
     every = sorted({frame: t for (_, frame), t in of.items()}.items())
     steps = np.diff([t for _, t in every])
     np.testing.assert_allclose(steps, [0.1 if frame % 2 else 0.12 for frame, _ in every[1:]])
+
+
+def two_robots(path: Path, unit: str = 'um', later: float = 0.0) -> Path:
+    """Two robots at 20 frames a second, the second in another `unit` and `later` [s]."""
+    t, x = np.arange(30) / 20, np.arange(30.0)
+    return write_book(path, {
+        'Robot 1': (['t_s', 'x [um]', 'y [um]'], [t, x, 0 * x]),
+        'Robot 2': (['t_s', f'x [{unit}]', f'y [{unit}]'], [t + later, x, x + 90])})
+
+
+def test_robots_of_several_units_are_refused_unless_one_is_stated(tmp_path):
+    path = two_robots(tmp_path / 'a.xlsx', 'mm')
+    with pytest.raises(InputError, match=r"positions in um .* of Robot 1, found 'x \[mm\]'"):
+        import_session(path, Answers())
+    session, _ = import_session(path, Answers(position_unit='_mm'))
+    for robot in (1, 2):
+        assert np.ptp(session.tracks.of(robot).position[:, 0]) == pytest.approx(29e-3)
+
+
+def test_a_unit_on_x_counts_for_y(tmp_path):
+    path = small(tmp_path, 't_s,x_um,y\n0,1,2\n1,3,4\n')
+    session, _ = import_session(path, Answers())
+    np.testing.assert_allclose(session.tracks.position, [[1e-6, 2e-6], [3e-6, 4e-6]])
+    with pytest.raises(InputError, match="found 'y_mm'"):
+        import_session(small(tmp_path, 't_s,x_um,y_mm\n0,1,2\n1,3,4\n'), Answers())
+
+
+def test_the_frame_rate_is_that_of_a_robot_whatever_the_clock_of_another(tmp_path):
+    path = two_robots(tmp_path / 'a.xlsx', later=1e-3)
+    session, _ = import_session(path, Answers())
+    assert session.conditions.frame_rate == pytest.approx(20)
 
 
 def small(tmp_path: Path, text: str) -> Path:
