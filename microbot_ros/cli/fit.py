@@ -32,6 +32,7 @@ def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None
       microbot fit out/plain --out out/fit
     """
     from rich.console import Console
+    from rich.markup import escape
 
     from microbot_ros.common.files import output_folder, refuse_to_overwrite, write_json
     from microbot_ros.estimation import report
@@ -40,7 +41,7 @@ def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None
 
     refuse_to_overwrite(out, ('fit.json', 'fit.png'), force)
     progress = Console(stderr=True, highlight=False)
-    with progress.status(f'reading {session}'):
+    with progress.status(escape(f'reading {session}')):
         recording = read_session(session)
     with progress.status(f'fitting {len(recording.tracks.particles)} particles'):
         result = fit(recording, exposure_ms * 1e-3)

@@ -91,6 +91,7 @@ def command(source: Path, out: Path, force: bool, json_path: Path | None, **give
       microbot import robots.csv --column x="Centre X" --position-unit um --out sessions/tuesday
     """
     from rich.console import Console
+    from rich.markup import escape
 
     from microbot_ros.common.files import refuse_to_overwrite, write_json
     from microbot_ros.common.units import exact_display
@@ -102,7 +103,7 @@ def command(source: Path, out: Path, force: bool, json_path: Path | None, **give
     if {one.resolve() for one in own} & {(out / name).resolve() for name in FILES}:
         raise InputError(out, 'expected another folder than that of the tables, which are kept')
     refuse_to_overwrite(out, FILES, force)
-    with Console(stderr=True).status(f'reading {source}'):
+    with Console(stderr=True).status(escape(f'reading {source}')):
         session, said = import_session(source, answers(**given))
         write_session(out, session)
     tracks, commands = session.tracks, session.commands

@@ -40,6 +40,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
       microbot info data/rolling_robot --figure rolling.png --json rolling.json
     """
     from rich.console import Console
+    from rich.markup import escape
 
     from microbot_ros.estimation.likelihood.excitation import command_excitation
     from microbot_ros.session.mcap.recording import is_recording, open_recording
@@ -48,7 +49,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
     if not session.exists():
         raise InputError(session, 'expected a session folder or a recording, found nothing')
     console = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 150)
-    with console.status(f'reading {session}'):
+    with console.status(escape(f'reading {session}')):
         if is_recording(session):
             with open_recording(session) as recording:
                 if repair and not recording.complete:

@@ -49,6 +49,7 @@ def command(sources: tuple[Path, ...], out: Path, against: Against, definition: 
       microbot response archive --out out/tables --definition tables
     """
     from rich.console import Console
+    from rich.markup import escape
 
     from microbot_ros.common.errors import InputError
     from microbot_ros.common.files import output_folder, refuse_to_overwrite, write_text
@@ -61,7 +62,7 @@ def command(sources: tuple[Path, ...], out: Path, against: Against, definition: 
         read: dict[Path, Labelled] = {}
         folders = _sessions(sources)
         for done, path in enumerate(folders):
-            status.update(f'reading {done + 1} of {len(folders)}: {path.name}')
+            status.update(escape(f'reading {done + 1} of {len(folders)}: {path.name}'))
             try:
                 read[path.resolve()] = _labelled(path)
             except InputError as error:

@@ -79,8 +79,8 @@ class ControllerCore(Core):
             raise InputError('controller', answer.message)
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
-        # The active controller is restarted after a fault if `controller` is among `named`. No frame
-        # waits longer than for a controller that computes.
+        # The active controller is restarted after a fault if `controller` is among `named`. No
+        # frame waits longer than for a controller that computes.
         answer = self.stage.configure(
             changed.get('', self.settings),
             {prefix.removesuffix('.'): values for prefix, values in changed.items() if prefix},

@@ -36,6 +36,7 @@ from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.foreign_effects import make_world
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, inject_effect
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
+from microbot_ros.virtual_rig.record_session import in_picture
 from microbot_ros.virtual_rig.rolling import Rolling
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
@@ -201,7 +202,7 @@ class VirtualRigNode(RigNode):
         self._advance(began)
         world = self._world
         image = messages.image(
-            self._microscope.render(world.position, world.heading, world.t), stamp)
+            self._microscope.render(in_picture(world), world.heading, world.t), stamp)
         self._images.publish(image)
         self._preview.offer(image)
         if self._info.get_subscription_count():

@@ -20,6 +20,7 @@ from microbot_ros.loop.model import ModelParameters
 from microbot_ros.loop.points import particles_at
 from microbot_ros.loop.tracker import TrackerParameters
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
+from microbot_ros.virtual_rig.record_session import in_picture
 from microbot_ros.virtual_rig.scenario import ControllerSettings, Scenario
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
@@ -102,7 +103,7 @@ def film(scenario: Scenario, world: World, source: str) -> Session:
     steps: list[LoopStep] = []
     for t in (np.arange(math.floor(scenario.duration_s * rate) + 1) / rate).tolist():
         world.advance(t, _history(rows, t))
-        steps.append(loop.step(microscope.render(world.position, world.heading, t), t))
+        steps.append(loop.step(microscope.render(in_picture(world), world.heading, t), t))
         rows.append((t, loop.measured(steps[-1].currents, t)))
     tell_fault(loop, source)
     commands = Commands(np.array([t for t, _ in rows]), np.array([field for _, field in rows]))

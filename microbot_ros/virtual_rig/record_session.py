@@ -110,6 +110,22 @@ def _empty(frames: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.empty((frames, count, 2)), np.empty((frames, count))
 
 
+def in_picture(world: World) -> np.ndarray:
+    """Return where particles are in a picture that is taken now.
+
+    Parameters
+    ----------
+    world : World
+        The world.
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+        Positions [m], as effects of camera and stage distort them.
+    """
+    return world.observe(picture(world.bodies, world.position, world.t))
+
+
 def picture(bodies: np.ndarray, position: np.ndarray, t: float | np.ndarray) -> np.ndarray:
     """Distort a true `position` (..., N, 2) [m] as pixels and stage do.
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +67,23 @@ def test_a_window_that_follows_in_whole_pixels_is_seen(tmp_path: Path) -> None:
     assert found.rms_px > 0.3
     assert found.window_rms_px == pytest.approx(0, abs=1e-6)
     assert 'window' in found.sentence('book.xlsx')
+
+
+def test_a_long_film_beside_a_table_with_a_gap_takes_little_memory(tmp_path: Path) -> None:
+    frames = 2000
+    film = _tracks(tmp_path / 'tracks.csv', {0: _way(np.arange(frames))})
+    whole = _session(frames)
+    seen = np.delete(np.arange(frames), np.s_[700:705])
+    whole.tracks.t[-1] += 0.01  # a quarter of a frame
+    tracemalloc.start()
+    try:
+        [found] = compare(film, replace(whole, tracks=whole.tracks.rows(seen)), frames, PIXEL)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert found.frames == len(seen)
+    assert found.rms_px == pytest.approx(0, abs=1e-3)
+    assert most < frames * frames  # bytes: a matrix of frames and rows has eight times as many
 
 
 def test_without_tracks_nothing_agrees(tmp_path: Path) -> None:

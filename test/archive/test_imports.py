@@ -20,7 +20,11 @@ from microbot_ros.archive.conclusions.report import draw_quantities, page
 from microbot_ros.archive.imports import imported
 from microbot_ros.archive.labels import labels_of, own_answers, stated
 from microbot_ros.archive.recordings import Found
+from microbot_ros.archive.store import Entry
+from microbot_ros.archive.table import rows
+from microbot_ros.archive.work import result_file
 from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import write_text
 from microbot_ros.session import read_session
 
 
@@ -89,6 +93,21 @@ def test_a_folder_becomes_sessions_and_every_table_counts_once(folder, tmp_path)
     assert '0 done, 5 kept from before, 1 with averages only, 1 refused' in again.stderr
 
 
+def test_tables_of_one_name_in_folders_of_one_name_count_each(tmp_path):
+    out = tmp_path / 'archive'
+    archive = Archive(out)
+    for day, key in (('mon', 'import-aa'), ('tue', 'import-bb')):
+        path = tmp_path / day / 'data'
+        archive.entries[str(path / 'a.csv')] = Entry(
+            'data/a.csv', 'table', str(path), day, [], jobs={'import': key})
+        write_text(result_file(out, key), json.dumps(
+            {'session': day, 'remarks': ['y points down'], 'pixel_size_um': 0.5}))
+    found = imported(archive)
+    assert found['sessions'] == 2
+    assert found['assumed'] == [{'sentence': 'y points down', 'recordings': ['data/a.csv'] * 2}]
+    assert found['pixel_sizes'] == {'data': {'0.5': ['data/a.csv'] * 2}}
+
+
 def test_what_archive_yaml_states_of_a_file_counts_before_the_option(folder, tmp_path):
     (folder / 'archive.yaml').write_text(
         'kind: rollers\nfiles:\n  dimers/mute.csv:\n    pixel_size_um: 0.25\n'
@@ -107,6 +126,24 @@ def test_what_archive_yaml_states_of_a_file_counts_before_the_option(folder, tmp
         'kind'] for path in (out / 'sessions').iterdir()}
     assert kinds == {name: 'rollers' if name == 's' else 'pairs' for name in sizes}
     assert imported(Archive(out))['sessions'] == 6
+
+
+@pytest.mark.parametrize('verdict', ['searched', 'refused'])
+def test_a_recording_that_was_fitted_and_its_copy_that_was_searched_are_one_row(
+        tmp_path, verdict):
+    one = {'value': 1.0, 'std': 0.1}
+    baseline = {'particles': {'0': {'v_um_s': one}}, 'diffusion_um2_s': one}
+    facts = {'propulsion': 'catalytic', 'duration_s': 1, 'frames': 3, 'remarks': []}
+    told = {'fit-aa': {'facts': facts, 'fit': baseline}, 'discover-bb': {
+        'searched': {'facts': facts, 'result': {'verdict': 'consistent', 'baseline': baseline}},
+        'refused': {'refused': 'no'}}[verdict]}
+    archive = Archive(tmp_path)
+    for day, key in (('mon', 'fit-aa'), ('tue', 'discover-bb')):
+        archive.entries[f'/{day}/run'] = Entry(f'{day}/run', 'session', f'/{day}', 'same', [],
+                                               jobs={key[:-3]: key})
+        write_text(result_file(tmp_path, key), json.dumps(told[key]))
+    expected = ('tue/run', 'discover') if verdict == 'searched' else ('mon/run', 'fit')
+    assert [(row['session'], row['task']) for row in rows(archive, {})] == [expected]
 
 
 def test_a_conflict_with_a_stated_size_is_refused_and_nothing_is_written(folder, tmp_path):

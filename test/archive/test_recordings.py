@@ -1,6 +1,9 @@
 """What is a recording is told by what files hold; what can't be read is listed with a reason."""
 
 import datetime
+import errno
+import json
+import os
 import shutil
 from pathlib import Path
 
@@ -87,6 +90,42 @@ def test_what_claims_to_be_one_and_is_none_is_named(shelf):
         'empty.csv', 'bag.db3', 'cut.mcap', 'money.csv', 'secret.csv')}
     assert 'MCAP' in refused['shelf/bag.db3']
     assert 'it has none' in refused['shelf/money.csv']
+
+
+def test_names_that_are_no_text_are_refused_and_stop_nothing(tmp_path):
+    """As on disks of old systems: b'Messung_\xe4' is Latin-1."""
+    for name in (b'Messung_\xe4.csv', b'Tag_\xe4/t.csv'):
+        path = Path(os.fsdecode(os.fsencode(tmp_path) + b'/lab/' + name))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(TABLE)
+    (tmp_path / 'lab' / 'Größe.csv').write_text(TABLE)
+    found, refused = look(tmp_path / 'lab')
+    assert [*found] == ['lab/Größe.csv']
+    assert len(refused) == 2
+    assert {*refused.values()} == {'expected a name in UTF-8; rename it'}
+    assert all('Messung_' in name or 'Tag_' in name for name in refused)
+    json.dumps([*refused], ensure_ascii=False).encode()
+
+
+@pytest.mark.parametrize('shut', [['scandir'], ['scandir', 'stat']], ids=['listing', 'entry'])
+def test_a_folder_that_is_closed_is_refused_and_stops_nothing(shelf, monkeypatch, shut):
+    """Root may look into any folder, so that this one is closed by hand."""
+    closed = shelf / 'colleague'
+    closed.mkdir()
+
+    def refusing(function, inside):
+        def instead(path, *rest, **options):
+            if inside in (Path(path), Path(path).parent):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+            return function(path, *rest, **options)
+        return instead
+
+    for name, inside in (('scandir', closed), ('stat', closed / MARK)):
+        if name in shut:
+            monkeypatch.setattr(os, name, refusing(getattr(os, name), inside))
+    found, refused = look(shelf)
+    assert len(found) == 6
+    assert refused == {'shelf/colleague': 'Permission denied'}
 
 
 def test_locks_of_excel_are_hidden_and_old_books_are_named(shelf):

@@ -60,6 +60,16 @@ def test_a_recording_that_was_cut_off_is_shown_and_repaired(tmp_path):
     assert 'cut off' not in run(tmp_path / 'run')
 
 
+@pytest.mark.parametrize('text', ['[/camera/image_raw, /x]', '[old] run', '[bold]a[/bold]'])
+def test_brackets_in_names_and_notes_are_printed_as_they_are(tmp_path, text):
+    with RecordingWriter(tmp_path / 'run [old][/x]') as writer:
+        writer.describe('notes', {'comment': text})
+        writer.write('/x', 'std_msgs/msg/Bool', 1, b'\x00\x01\x00\x00\x01')
+    told = run(tmp_path / 'run [old][/x]')
+    assert f'{tmp_path.name}/run [old][/x]' in ''.join(told.splitlines())
+    assert text in told
+
+
 @pytest.mark.parametrize(('words', 'said'), [
     (['nowhere'], 'found nothing'), (['{}', '--repair'], 'expected a recording to repair'),
     (['{}', '--figure', '{}/a.exe'], 'picture format'),

@@ -70,6 +70,18 @@ def test_a_direction_that_always_turns_is_modelled_and_said():
         assert size == pytest.approx(3e-6 * one.level, rel=0.05)
 
 
+def test_small_turns_end_no_plateau_whatever_the_rounding_of_the_field():
+    """The size of a field is that of its components, to the last digit but one."""
+    session = rolling_recording(np.repeat([1.0, 2.0, 4.0], 20), seconds=0.2, delay=0.0, slip=0.0,
+                                alpha=lambda t: np.radians(10 * t))
+    assert len(np.unique(np.hypot(*session.commands.field.T))) > 1
+    found = respond(session, 'frequency', 'motion')
+    assert [(one.level, one.visits) for one in found.plateaus] == [(1, 1), (2, 1), (4, 1)]
+    for one in found.plateaus:
+        assert one.frames > 80  # of 100
+        assert one.speed.value == pytest.approx(3e-6 * one.level, abs=4 * one.speed.std)
+
+
 def test_what_else_was_commanded_is_held():
     tilt = np.array([np.pi / 2, np.pi / 2, np.pi / 2, 0.0, np.pi / 2, np.pi / 2])
     session = rolling_recording(tilt=tilt)

@@ -3,7 +3,9 @@
 import csv
 import json
 import re
+from datetime import UTC, datetime
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import openpyxl
@@ -11,10 +13,13 @@ import pytest
 from command_line import microbot
 from laboratories import rolling_recording
 
+from microbot_ros.cli.response import _labelled
 from microbot_ros.response.result import Labelled, respond_all
 from microbot_ros.response.words import difference, summary, unlike
 from microbot_ros.session import write_session
+from microbot_ros.session.mcap.recording import open_recording
 
+DATA = Path(__file__).parents[1] / 'data'
 SHARED = Path(__file__).parents[2].parent / 'shared' / 'data' / 'speed_vs_frequency'
 FILES = {'response.csv', 'response.json', 'response.parquet', 'response.png', 'response.pdf',
          'response.html'}
@@ -83,6 +88,45 @@ def test_a_session_that_cannot_be_read_is_left_out_of_an_archive(tmp_path, capsy
     assert 'film/tracks.csv' in said.err
     assert '1 robot: speed goes' in said.out
     assert microbot('response', film, '--out', tmp_path / 'p') == 2
+
+
+def test_sessions_of_one_name_are_robots_of_their_own_and_one_given_twice_is_one(tmp_path):
+    slow, fast = (tmp_path / day / 'run1' for day in ('mon', 'tue'))
+    other = tmp_path / 'other'
+    for folder, gain in ((slow, 1e-6), (fast, 3e-6), (other, 2e-6)):
+        write_session(folder, rolling_recording(gain=gain, slip=0.0))
+    (tmp_path / 'link').symlink_to(slow)
+    with mock.patch('microbot_ros.response.report.write') as write:
+        assert microbot('response', slow, fast, other, slow, tmp_path / 'link', '--out',
+                        tmp_path / 'out') == 0
+    found = write.call_args.args[0]
+    assert len(found.rows) == 9
+    last = {row.robot: row.plateau.speed.value for row in found.rows if row.plateau.level == 5}
+    assert last == pytest.approx(
+        {(str(slow), 0): 5e-6, (str(fast), 0): 15e-6, ('other', 0): 10e-6}, rel=0.1)
+
+
+@pytest.mark.parametrize('folder', [False, True])
+def test_a_recording_is_of_the_day_of_its_clock(folder, tmp_path):
+    source = DATA / 'tracking.mcap'
+    if folder:
+        source = tmp_path / 'run' / 'run_0.mcap'
+        source.parent.mkdir()
+        source.symlink_to(DATA / 'tracking.mcap')
+    with open_recording(source) as recording:
+        day = datetime.fromtimestamp(recording.start_ns * 1e-9, UTC).date()
+    assert _labelled(source.parent if folder else source).day == day.isoformat()
+
+
+def test_a_robot_that_rests_at_the_first_level_has_no_share_that_it_loses():
+    # Half a frame late, each step is by the command at its beginning: the rest is exact.
+    session = rolling_recording(LEVELS, speed=lambda f: 3e-6 * f * (f > 1), delay=0.02,
+                                seconds=4.0, noise=0.0, diffusion=0.0)
+    found = respond_all([Labelled(session)], 'frequency', 'motion')
+    assert found.kinds[0].common[0].speed.value == 0
+    said = summary(found)
+    assert said.startswith('1 robot: speed goes from 0 µm/s at 1 Hz to 48 µm/s at 16 Hz')
+    assert said.endswith('no step-out up to 16 Hz.')
 
 
 def test_nothing_is_replaced_without_being_asked(archive, tmp_path, capsys):

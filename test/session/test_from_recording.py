@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from recordings import VECTOR, encode, header, vector
+from recordings import VECTOR, encode, header, record, small_session, vector
 
 from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Session
 from microbot_ros.session import read_session
 from microbot_ros.session.mcap.bag import typestore
 from microbot_ros.session.mcap.recorder import RecordingWriter
@@ -109,6 +110,28 @@ def test_a_field_rotates_until_the_next_that_stands(tmp_path):
     np.testing.assert_allclose(commands.t, [0, 0.002, 0.005])
     np.testing.assert_allclose(commands.frequency, [0, 5, 0])
     assert commands.field.tolist() == [[1e-3, 0], [0, 2e-3], [0, 0]]
+
+
+@pytest.mark.parametrize(('rate', 'frequency'), [
+    ((-5, 0), 5), ((5, 0), -5), ((-3, 4), 5), ((3, -4), -5), ((0, 0), 0)])
+def test_a_rotation_that_rolls_against_its_field_has_a_negative_frequency(
+        tmp_path, rate, frequency):
+    """A sphere on the floor that rotates with ω moves along ω × ẑ; the field is along y."""
+    rate = tuple(2 * np.pi * np.array(rate, float))
+    commands = read_session(write(
+        tmp_path / 'run', rotating(0, (0, 2e-3), rate), *FRAMES)).commands
+    np.testing.assert_allclose(commands.frequency, [frequency])
+    assert commands.field.tolist() == [[0, 2e-3]]
+
+
+def test_a_session_that_rolls_back_is_the_same_as_a_recording(tmp_path):
+    made = small_session(rolling=True)
+    to_and_fro = np.where(np.arange(10) % 2, -1, 1) * made.commands.frequency
+    session = Session(made.tracks, Commands(made.commands.t, made.commands.field, to_and_fro),
+                      made.conditions)
+    commands = read_session(record(tmp_path / 'run', session)).commands
+    np.testing.assert_allclose(commands.frequency, to_and_fro)
+    np.testing.assert_allclose(commands.field, made.commands.field)
 
 
 def test_in_earlier_recordings_a_rotation_holds_until_the_next_and_ends_with_the_field(tmp_path):

@@ -60,6 +60,16 @@ def test_a_rolling_field_that_does_not_turn_is_off():
     assert spread.off_share == pytest.approx(1 / 3)
 
 
+def test_a_negative_frequency_is_the_opposite_direction():
+    commands = circle(0, 0, 90, 90)
+    rolling = Commands(commands.t, commands.field, np.array([5.0, -5, -5, 5]))
+    spread = command_spread(rolling, 0, 4)
+    # 0°, 180°, 270°, 90°: half a turn is to either side.
+    assert spread.direction_variance == pytest.approx(1)
+    assert spread.turns_left + spread.turns_right == 3
+    assert spread.frequencies_hz == (-5, 5)
+
+
 def test_missing_frames_are_the_holes_in_an_even_rate():
     times = np.arange(20) / 60 + np.random.default_rng(0).normal(0, 1e-3, 20)
     assert missing_frames(times) == 0

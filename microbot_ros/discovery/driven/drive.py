@@ -70,8 +70,8 @@ class Played:
     stopped: str = ''
 
 
-class Rig(Protocol):
-    """Protocol of a rig, real or simulated."""
+class PlanPlayer(Protocol):
+    """Protocol of a rig that plays plans, real or simulated."""
 
     @property
     def limits(self) -> Range:
@@ -217,14 +217,14 @@ def lasting(seconds: float) -> float:
     return min(max(seconds / GROWTH, BRIEF), LONG)
 
 
-def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: None,
+def drive(rig: PlanPlayer, minutes: float, report: Callable[[str], None] = lambda _: None,
           seed: int = 0, designer: Designer = choose_plan,
           looked: Callable[[Look], None] = lambda _: None) -> Driven:
     """Drive a rig until the question of the missing effect is settled.
 
     Parameters
     ----------
-    rig : Rig
+    rig : PlanPlayer
         The rig. If it stops, the search ends with what was learned so far.
     minutes : float
         Time limit [min].

@@ -293,7 +293,7 @@ def _are_intervals(
     usual = float(np.median(values))
     up, back = int((steps > 0).sum()), int((steps < 0).sum())
     # Moments that were rounded to equal ones, or a clock that was set back.
-    moments = back <= _MOST_BACK * len(steps) and up - back > _FEWEST_UP
+    moments = back <= max(1, _MOST_BACK * len(steps)) and up - back > _FEWEST_UP
     steady = not moments and values.min() >= 0 and usual > 0 and (
         values.max() < _STEADY * usual
         or ((steps < 0).mean() > _MOST_BACK and np.quantile(values, 0.95) < _STEADY * usual))
