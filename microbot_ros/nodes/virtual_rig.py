@@ -132,6 +132,8 @@ class VirtualRigNode(RigNode):
             return 'speeds_um_s, or gains_um_s_hz, and phis_rad must be equally many'
         if proposed.step_outs_hz and len(proposed.step_outs_hz) != len(proposed.gains_um_s_hz):
             return 'step_outs_hz must be as many as gains_um_s_hz, or none'
+        if proposed.effect == 'drive_response' and not proposed.gains_um_s_hz:
+            return 'the effect drive_response is of particles that roll: set gains_um_s_hz'
         if len(proposed.walls_um) % 4:
             return 'walls_um must be four numbers each'
         return height_problem(proposed.height_um, proposed.radius_um)

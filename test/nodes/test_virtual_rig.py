@@ -6,6 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+
+from microbot_ros.common.errors import InputError
+
+
+def test_an_effect_of_rollers_is_refused_where_particles_swim(ros: Any, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='set gains_um_s_hz'):
+        ros({'virtual_rig': {
+            'amplifier_log': str(tmp_path / 'amplifier.jsonl'), 'effect': 'drive_response',
+            'effect_parameters': ['cut_in_hz=0.9']}}).add('virtual_rig')
 
 
 def test_what_stretches_the_picture_is_in_the_picture_and_not_in_the_truth(
