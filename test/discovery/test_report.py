@@ -13,7 +13,7 @@ import pytest
 from microbot_ros.common.records import Tracks
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.report.drive import drive
-from microbot_ros.discovery.report.figures import draw_bands, embedded
+from microbot_ros.discovery.report.figures import draw_bands, draw_places, embedded
 from microbot_ros.discovery.report.page import digests, headline, page, write_report
 from microbot_ros.discovery.report.prediction import predict
 from microbot_ros.discovery.report.residual import by_place, residual
@@ -193,6 +193,14 @@ def test_predictions_start_anew_where_a_particle_jumps(drifting):
     assert prediction.elapsed[0, jump] == 0
     assert prediction.elapsed[1, jump] > 5
     assert np.nanmax(np.abs(prediction.measured[0])) < 20e-6
+
+
+def test_particles_that_rest_are_drawn_in_their_one_place(drifting):
+    """As where positions are rounded to pixels, and their mean is nearly nothing."""
+    found, session = drifting
+    left = residual(found, session)
+    resting = replace(left, places=np.broadcast_to([2.4e-24, -1.7e-8], left.places.shape))
+    assert embedded(draw_places(resting, found.diffusion.value)).startswith('data:image')
 
 
 def test_arrows_of_a_drift_point_its_way_before_and_vanish_after(drifting):

@@ -238,6 +238,9 @@ def draw_places(left: Residual, diffusion: float) -> Figure | None:
     if not (len(before[0]) and len(after[0])):
         return None
     typical = float(f'{np.quantile(np.hypot(*before[1].T), 0.8) * 1e6:.1g}') or 1.0
+    places = 1e6 * np.concatenate([before[0], after[0]])
+    margin = np.maximum(0.15 * np.ptp(places, axis=0), 1.0)  # who rests has a single place
+    x_limits, y_limits = np.stack([places.min(axis=0) - margin, places.max(axis=0) + margin], 1)
     figure = Figure(figsize=(11, 4.6), layout='constrained')
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     for axis, title, colour, (place, velocity, time) in zip(
@@ -252,6 +255,6 @@ def draw_places(left: Residual, diffusion: float) -> Figure | None:
         axis.set_title(title, fontsize=10, loc='left', pad=18)  # above the key
         axis.set_xlabel('x (µm)')
         axis.set_aspect('equal')
-        axis.margins(0.15)
+        axis.set(xlim=x_limits, ylim=y_limits)
     axes[0].set_ylabel('y (µm)')
     return figure
