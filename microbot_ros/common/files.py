@@ -240,8 +240,9 @@ def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None
 def output_folder(path: str | Path, own: Iterable[str] = ()) -> Iterator[Path]:
     """Context with a folder to fill that gets its name only when everything is written.
 
-    Files are written to a hidden sibling. On success they move into `path` one by one, replacing
-    files of the same name and keeping others; on any exception nothing remains of them.
+    Files are written to a hidden folder in `path`, or beside it if it is new. On success they move
+    into `path` one by one, replacing files of the same name and keeping others; on any exception
+    nothing remains of them.
 
     Parameters
     ----------
