@@ -38,9 +38,9 @@ _WARM = 0.01
 _REMIND_SECONDS = 0.2
 """Interval [s] of the messages that the gate is armed, while it waits for a zero. Choice: five a
 second reach a controller that was delayed."""
-_SET_BACK_SECONDS = 1.0
-"""Step back [s] of the stamps beyond which the clock was set back. Choice: far above the
-difference of two frames on their way."""
+_AHEAD_SECONDS = 0.05
+"""How far [s] a stamp may be ahead of the clock here. Choice: two clocks of one network differ by
+some milliseconds; what is further ahead was stamped by a clock that is wrong."""
 _COMMANDER_SECONDS = 2.0
 """Time [s] that arming waits for a commander to be discovered, as both nodes may just have been
 started. Choice: half refuses on a busy machine, twice delays every refusal."""
@@ -236,22 +236,22 @@ class CoilDriverNode(RigNode):
 
     def _on_rotating(self, message: TwistStamped) -> None:
         field, angular_velocity = messages.rotating_field(message)
-        stamp = message.header.stamp
-        # Two topics have no common order: ignore a rotation older than the constant field.
-        older_s = self._stands_s - messages.to_seconds(stamp)
-        if not 0.0 < older_s < _SET_BACK_SECONDS:
-            self._take('field/rotating', field, angular_velocity, stamp)
+        self._take('field/rotating', field, angular_velocity, message.header.stamp)
 
     def _take(self, topic: str, field: np.ndarray, angular_velocity: np.ndarray,
               stamp: Time) -> None:
         """Drive a command from a topic, unless its stamp is too old or in the future."""
-        age = self.seconds() - messages.to_seconds(stamp)
-        if age < -0.05:
+        now_s, stamp_s = self.seconds(), messages.to_seconds(stamp)
+        age = now_s - stamp_s
+        # Two topics have no common order: a rotation may arrive after the constant field that
+        # ended it. A constant field that is ahead of the clock is from before it was set back.
+        superseded = stamp_s < self._stands_s <= now_s + _AHEAD_SECONDS
+        if age < -_AHEAD_SECONDS:
             self._refuse(f'{topic} is {-age:.3f} s ahead of the clock here; command ignored')
         elif not age <= self.settings.max_command_age_ms * 1e-3:
             self._refuse(f'{topic} is {age:.3f} s old, more than max_command_age_ms; command '
                          'ignored')
-        else:
+        elif topic == 'field/command' or not superseded:
             try:
                 wanted = self._drive(field, angular_velocity, stamp)
             except ValueError as error:
