@@ -27,7 +27,7 @@ from microbot_ros.common.errors import RigError
 from microbot_ros.nodes.base.lifecycle import IMAGES_IN
 from microbot_ros.nodes.client.graph import Graph
 from microbot_ros.nodes.client.graph_client import GraphClient
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.session.replay.log import header_stamp_ns
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
@@ -132,7 +132,7 @@ class _Bench:
         self._client.spin(_RECORDED_S)
         self._end_recording()
         self._client.node.destroy_subscription(hearing)
-        with open_recording(folder) as recording:
+        with Recording(folder) as recording:
             held = {header_stamp_ns(message.data)
                     for message in recording.messages(['/camera/image_raw'])}
         return len(held) / len(held | {one for one in published if min(held) <= one <= max(held)})

@@ -21,7 +21,7 @@ from bench.figure import Figure
 from microbot_ros.common.records import Commands, Session, Tracks
 from microbot_ros.session.mcap.bag import typestore
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import Message, open_recording
+from microbot_ros.session.mcap.recording import Message, Recording
 from microbot_ros.session.replay.as_messages import SessionMessages
 from microbot_ros.session.replay.playback import Playback
 
@@ -116,10 +116,10 @@ def _share(messages: list[Message], send) -> float:
 
 _OPEN = """
 import resource, sys, time
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.session.mcap.from_recording import session_of
 began = time.perf_counter()
-with open_recording(sys.argv[1]) as recording:
+with Recording(sys.argv[1]) as recording:
     opened = time.perf_counter() - began
     session = session_of(recording)
 print(opened, time.perf_counter() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
@@ -150,7 +150,7 @@ def _opening(folder: Path, size: int = 2 * GIGABYTE) -> list[Figure]:
     with file.open('r+b') as stream:
         stream.truncate(size - 1000)
     began = time.perf_counter()
-    with open_recording(folder) as recording:
+    with Recording(folder) as recording:
         crashed = time.perf_counter() - began
         assert not recording.complete
     shutil.rmtree(folder)
@@ -193,7 +193,7 @@ def _crashing(folder: Path, at_once: int = 2) -> list[Figure]:
             process.send_signal(signal.SIGKILL)
             # The last line may be cut; a process killed at once has sent nothing.
             sent = process.communicate()[0].splitlines()[:-1] or ['0']
-            with open_recording(path) as recording:
+            with Recording(path) as recording:
                 readable += 1
                 last = [int(recording.times(topic)[-1]) for topic in recording.topics
                         if recording.topics[topic].count]
@@ -218,7 +218,7 @@ def _playing(folder: Path, seconds: float = 60.0) -> list[Figure]:
         for message in SessionMessages(_session(seconds)).messages():
             writer.write(*message)
     began = time.perf_counter()
-    with open_recording(folder) as recording:
+    with Recording(folder) as recording:
         playback = Playback(recording, 0.0, rate=math.inf)
         count = sum(1 for _ in iter(lambda: playback.take(0.0), None))
     ours = seconds / (time.perf_counter() - began)

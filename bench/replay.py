@@ -32,7 +32,7 @@ from microbot_ros.nodes.client.graph import Graph
 from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.session.replay.as_messages import SessionMessages
 from microbot_ros.session.replay.compare import compare
 from microbot_ros.session.replay.log import header_stamp_ns
@@ -118,7 +118,7 @@ def _judged(recording: Path, share: float, without: np.ndarray, during: np.ndarr
 def _lost(path: Path) -> tuple[int, int, int]:
     """Frames and messages that are not in a recording, frames sent meanwhile, messages in it."""
     topics = ('/camera/image_raw', '/particles', '/model/state', '/field/command')
-    with open_recording(path) as recording:
+    with Recording(path) as recording:
         stamps = [{header_stamp_ns(m.data) for m in recording.messages([topic])}
                   for topic in topics]
         count = sum(topic.count for topic in recording.topics.values())
@@ -226,7 +226,7 @@ def _killed(path: Path, seconds: float) -> float:
                 np.zeros(4, PARTICLE), messages.to_stamp(now / 1e9)))
             client.spin(0.01)
         os.kill(graph.process_id('recorder'), signal.SIGKILL)
-    with open_recording(path) as recording:
+    with Recording(path) as recording:
         last = [max(recording.times(topic), default=began) if topic in recording.topics else began
                 for topic in ('/camera/image_raw', '/particles')]
     return float(now - min(last)) / 1e9
@@ -235,7 +235,7 @@ def _killed(path: Path, seconds: float) -> float:
 def _agreeing(folder: Path) -> list[Figure]:
     """Two replays of a run of the demo through model, controller and coil driver."""
     os.environ.setdefault('OMP_NUM_THREADS', '1')
-    with open_recording(STEERING) as source:
+    with Recording(STEERING) as source:
         plan = plan_replay(source, STEERING)
         parameters = recorded_parameters(source, plan.nodes, folder)
         length = (source.end_ns - source.start_ns) / 1e9
@@ -243,7 +243,7 @@ def _agreeing(folder: Path) -> list[Figure]:
     for name in ('first', 'second'):
         Replay(STEERING, folder / name, plan, parameters).run()
     speed = 2 * length / (time.monotonic() - began)
-    with open_recording(folder / 'first') as a, open_recording(folder / 'second') as b:
+    with Recording(folder / 'first') as a, Recording(folder / 'second') as b:
         found = compare(a, b, [topic for topics in plan.answers.values() for topic in topics
                                if topic in a.topics])
     pairs = sum(topic.pairs for topic in found)

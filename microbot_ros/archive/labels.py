@@ -19,7 +19,7 @@ from microbot_ros.archive.recordings import LABELS, Found
 from microbot_ros.common.checked import Field
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import read_yaml
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.session.spreadsheets.sheets import Answers
 from microbot_ros.session.spreadsheets.stated import Stated
 
@@ -172,7 +172,7 @@ def _clock(found: Found) -> datetime.date | None:
     if found.kind != 'recording':
         return None
     try:
-        with open_recording(found.path) as recording:
+        with Recording(found.path) as recording:
             start = recording.start_ns
     except (InputError, OSError):
         return None

@@ -196,13 +196,13 @@ def _reason(error: InputError) -> str:
 def _read(job: Job) -> Session:
     """Return the session of a recording or of a table."""
     from microbot_ros.session.mcap.from_recording import session_of
-    from microbot_ros.session.mcap.recording import open_recording
+    from microbot_ros.session.mcap.recording import Recording
     from microbot_ros.session.tables.folder import read_folder
 
     if job.kind == 'session':
         return read_folder(job.path)
     if job.kind == 'recording':
-        with open_recording(job.path) as recording:
+        with Recording(job.path) as recording:
             return session_of(recording)
     session, said = _imported(job.files, job.settings['answers'])
     return replace(session, name=job.path.stem,

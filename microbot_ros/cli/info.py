@@ -43,7 +43,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
     from rich.markup import escape
 
     from microbot_ros.estimation.likelihood.excitation import command_excitation
-    from microbot_ros.session.mcap.recording import is_recording, open_recording
+    from microbot_ros.session.mcap.recording import Recording, is_recording
     from microbot_ros.session.survey import survey_folder, survey_recording
 
     if not session.exists():
@@ -51,7 +51,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
     console = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 150)
     with console.status(escape(f'reading {session}')):
         if is_recording(session):
-            with open_recording(session) as recording:
+            with Recording(session) as recording:
                 if repair and not recording.complete:
                     recording.repair()
                     console.print(f'{session}: wrote the index and the metadata')

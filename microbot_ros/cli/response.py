@@ -143,10 +143,12 @@ def _write_parquet(found: object, folder: Path) -> bool:
 
     if find_spec('pyarrow') is None:
         return False
-    from microbot_ros.archive.table import write_rows
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     from microbot_ros.response.report import rows
     from microbot_ros.response.result import Response
 
     assert isinstance(found, Response)
-    write_rows(rows(found), folder / 'response.parquet')
+    pq.write_table(pa.Table.from_pylist(rows(found)), folder / 'response.parquet')
     return True

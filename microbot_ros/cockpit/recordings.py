@@ -124,9 +124,9 @@ def _described(path: Path) -> dict[str, Any]:
         'notes': ''}
     if lack('mcap') or not (path / 'metadata.yaml').is_file():
         return found  # running or cut off: reading would take long
-    from microbot_ros.session.mcap.recording import open_recording
+    from microbot_ros.session.mcap.recording import Recording
 
-    with suppress(InputError), open_recording(path) as recording:
+    with suppress(InputError), Recording(path) as recording:
         subject = recording.metadata().get('recording', {})
         found |= {'began_s': 1e-9 * recording.start_ns,
                   'seconds': 1e-9 * (recording.end_ns - recording.start_ns),

@@ -44,11 +44,11 @@ def read_session(path: str | Path) -> Session:
         raise InputError(path, 'expected a session folder or a recording, found nothing')
     # Recordings need the extra `mcap`, folders do not.
     from microbot_ros.session.mcap.from_recording import session_of
-    from microbot_ros.session.mcap.recording import is_recording, open_recording
+    from microbot_ros.session.mcap.recording import Recording, is_recording
 
     if not is_recording(path):
         return read_folder(path)
     if (path / 'tracks.csv').exists():
         raise InputError(path, 'expected tracks.csv or a recording, found both')
-    with open_recording(path) as recording:
+    with Recording(path) as recording:
         return session_of(recording)

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from microbot_ros import cli
 from microbot_ros.common.errors import InputError
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 
 TRACKS = 't_s,particle,x_um,y_um\n' + ''.join(
     f'{i / 10},{k},{i},{k}\n' for i in range(30) if i != 7 for k in (0, 1))
@@ -55,7 +55,7 @@ def test_a_recording_that_was_cut_off_is_shown_and_repaired(tmp_path):
     assert 'cut off' in text
     assert '/x' in text
     assert 'wrote the index' in run(tmp_path / 'run', '--repair')
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         assert recording.complete
     assert 'cut off' not in run(tmp_path / 'run')
 

@@ -18,7 +18,7 @@ from in_process import Ros
 
 from bench._emulator import Served
 from microbot_ros.nodes.client.graph_client import GraphClient
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 
 # Nodes and pictures in one process: on an overloaded machine no picture comes within a minute.
 pytestmark = pytest.mark.rig
@@ -233,7 +233,7 @@ def test_what_is_noted_is_in_the_recording(page: Page, rig: Rig) -> None:
         assert told['recording']['title'] == 'batch 7'
         assert told['recording']['seconds'] > 0
         assert again.ask('record', on=False)['ok']
-    with open_recording(rig.folder / 'recording') as recording:
+    with Recording(rig.folder / 'recording') as recording:
         kept = recording.metadata()['recording']
     assert kept['title'] == 'batch 7'
     assert [line.partition(' ')[2] for line in kept['notes'].splitlines()] == [

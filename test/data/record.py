@@ -23,7 +23,7 @@ import yaml
 from microbot_ros.nodes.client.graph import Graph
 from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 HERE = Path(__file__).parent
@@ -71,13 +71,13 @@ def track(folder: Path) -> Path:
 
 def seconds_after_goals(recording: Path, seconds: float) -> float:
     """The time [s] of a recording that long after the goals."""
-    with open_recording(recording) as source:
+    with Recording(recording) as source:
         return float(source.times('/goals')[-1] - source.start_ns) / 1e9 + seconds
 
 
 def from_first_frame(recording: Path, out: Path) -> Path:
     """Copy a recording without what came before its frames: a busy machine starts slowly."""
-    with open_recording(recording) as source, RecordingWriter(out) as writer:
+    with Recording(recording) as source, RecordingWriter(out) as writer:
         for name, content in source.attachments().items():
             writer.attach(name, content)
         first = int(source.times('/particles')[0])
@@ -96,7 +96,7 @@ def keep(recording: Path, name: str, nodes: list[str], end_s: float = 0.0) -> No
     with tempfile.TemporaryDirectory() as folder:
         for node in nodes:
             out = Path(folder) / node / name
-            with open_recording(recording) as source:
+            with Recording(recording) as source:
                 plan = plan_replay(source, recording, nodes)
                 parameters = recorded_parameters(source, nodes, Path(folder))
                 Replay(recording, out, plan, parameters, end_s).run()

@@ -18,7 +18,7 @@ from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.client.graph_client import GraphClient
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 
 
 @pytest.fixture(autouse=True)
@@ -116,7 +116,7 @@ def test_each_command_speaks_to_the_rig_of_its_namespace(
     assert graph.microbot('goal', '1,1', *there)[:2] == (
         0, "1 goal accepted by controller 'waypoint'\n")
     assert graph.microbot('record', '--stop', *there) == (0, f'recorded {folder}\n', '')
-    with open_recording(folder) as recording:
+    with Recording(folder) as recording:
         assert recording.metadata()['recording']['title'] == 'batch 7'
     with graph.spinning(), GraphClient(namespace='rig_2') as client:
         heard: dict[str, str] = {}

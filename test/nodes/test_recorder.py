@@ -22,7 +22,7 @@ from microbot_ros.nodes.client.parameter_collector import ParameterCollector
 from microbot_ros.nodes.recorder import RecorderNode
 from microbot_ros.nodes.replay import recorded_parameters
 from microbot_ros.session import read_session
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 
 
 def test_tracks_commands_and_every_second_frame(ros: Any, tmp_path: Path) -> None:
@@ -52,7 +52,7 @@ def test_tracks_commands_and_every_second_frame(ros: Any, tmp_path: Path) -> Non
     graph.until(lambda: counts().counts.get('/particles') == 20
                 and counts().counts.get('/field/command') == 20)
     recorder.trigger_deactivate()
-    with open_recording(folder) as recording:
+    with Recording(folder) as recording:
         assert recording.complete
         assert recording.topics['/camera/image_raw'].count == 10
         assert recording.attachments()['rig.yaml'] == b'a: 1\n'
@@ -97,7 +97,7 @@ def test_every_parameter_and_the_files_that_they_name_are_kept(ros: Any, tmp_pat
     graph.call(SetParameters, 'model/set_parameters', SetParameters.Request(parameters=[change]))
     graph.until(lambda: str(other) in recorder._kept)
     recorder.trigger_deactivate()
-    with open_recording(folder) as recording:
+    with Recording(folder) as recording:
         kept = recording.attachments()
         values = yaml.safe_load(kept['parameters/model.yaml'])['model']['ros__parameters']
         assert values['radius_um'] == 1.5
@@ -131,7 +131,7 @@ def test_each_recording_holds_the_parameters_of_its_time_whatever_the_list_of_no
         assert recorder.health()[2]['parameters_of'] == 'model recorder'
         recorder.trigger_deactivate()
         recorder.trigger_activate()
-        with open_recording(tmp_path / name) as recording:
+        with Recording(tmp_path / name) as recording:
             kept = recorded_parameters(recording, ['model', 'recorder'], tmp_path)
         assert kept['recorder']['folder'] == str(tmp_path / name)
         assert 'radius_um' in kept['model']
@@ -175,7 +175,7 @@ def test_a_service_begins_and_ends_recordings_with_title_and_notes(
             goals.publish(PoseArray())
         graph.until(lambda k=k: recorder._writer.status().counts.get('/goals') == k)
         assert record(False).message == f'recorded {tmp_path / str(k)}'
-        with open_recording(tmp_path / str(k)) as recording:
+        with Recording(tmp_path / str(k)) as recording:
             assert recording.complete
             assert recording.topics['/goals'].count == k
             assert recording.metadata()['recording'] == {

@@ -57,7 +57,7 @@ from microbot_ros.nodes.replay import (
 from microbot_ros.session import read_session
 from microbot_ros.session.mcap.cloud import cloud_table
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.session.replay.compare import compare
 from microbot_ros.session.replay.log import PARAMETERS, Entry, header_stamp_ns
 from microbot_ros.session.replay.playback import open_source
@@ -90,7 +90,7 @@ def test_todays_nodes_answer_as_they_did(
 
 def test_frames_that_were_let_pass_when_recorded_are_left_out_and_counted(tmp_path: Path) -> None:
     shorter = tmp_path / 'shorter'
-    with open_recording(STEERING) as whole, RecordingWriter(shorter) as writer:
+    with Recording(STEERING) as whole, RecordingWriter(shorter) as writer:
         for name, content in whole.attachments().items():
             writer.attach(name, content)
         passed = {header_stamp_ns(m.data) for m in [*whole.messages(['/particles'])][100:107]}
@@ -108,7 +108,7 @@ def test_frames_that_were_let_pass_when_recorded_are_left_out_and_counted(tmp_pa
 def test_a_recording_without_parameters_is_replayed_with_defaults_and_that_is_said(
         tmp_path: Path) -> None:
     bare = tmp_path / 'bare'
-    with open_recording(STEERING) as whole, RecordingWriter(bare) as writer:
+    with Recording(STEERING) as whole, RecordingWriter(bare) as writer:
         for message in whole.messages(['/particles', '/model/state', '/field/applied']):
             writer.write(*message)
     _, _, error = replay(bare, '--check', '--node', 'model', '--end', 1)
@@ -116,10 +116,10 @@ def test_a_recording_without_parameters_is_replayed_with_defaults_and_that_is_sa
 
 
 def test_what_they_answered_was_more_than_nothing() -> None:
-    with open_recording(TRACKING) as recording:
+    with Recording(TRACKING) as recording:
         seen = [recording.decode(m).width for m in recording.messages(['/particles'])]
     assert seen[-20:] == 20 * [2]
-    with open_recording(STEERING) as recording:
+    with Recording(STEERING) as recording:
         commands = [recording.decode(m).vector for m in recording.messages(['/field/command'])]
     strength = np.hypot([c.x for c in commands], [c.y for c in commands])
     assert (strength > 4.9e-3).sum() > 300
@@ -127,13 +127,13 @@ def test_what_they_answered_was_more_than_nothing() -> None:
 
 
 def test_two_replays_are_the_same_in_every_field(tmp_path: Path) -> None:
-    with open_recording(STEERING) as source:
+    with Recording(STEERING) as source:
         plan = plan_replay(source, STEERING)
         parameters = recorded_parameters(source, plan.nodes, tmp_path)
     assert plan.nodes == ('model', 'controller', 'coil_driver')
     for name in 'ab':
         Replay(STEERING, tmp_path / name, plan, parameters).run()
-    with open_recording(tmp_path / 'a') as a, open_recording(tmp_path / 'b') as b:
+    with Recording(tmp_path / 'a') as a, Recording(tmp_path / 'b') as b:
         stamps = {header_stamp_ns(m.data) for m in a.messages(['/particles'])}
         found = compare(a, b, ['/particles', '/model/state', '/field/command'], stamps)
     assert all(topic.same for topic in found), found
@@ -232,7 +232,7 @@ def test_a_rolling_robot_is_the_same_by_topics_as_by_rows(
     ours, theirs = fit(by_topics), fit(rows)
     assert ours.polar.speed == pytest.approx(theirs.polar.speed, rel=1e-5)
     assert ours.polar.phi == pytest.approx(theirs.polar.phi, abs=1e-5)
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         states = list(recording.messages(['/model/state']))
         last = cloud_table(recording.decode(states[-1]))
     assert len(states) == len(np.unique(rows.tracks.t))
@@ -377,7 +377,7 @@ def steered_live(ros: Any, folder: Path) -> Path:
     writer = graph.nodes['recorder']._writer
     graph.until(lambda: writer.status().counts.get('/loop/log', 0) >= 2 * FRAMES)
     graph.nodes['recorder'].trigger_deactivate()
-    with open_recording(out) as recording:
+    with Recording(out) as recording:
         for line in recording.messages(['/loop/log']):
             conforming('loop/log', recording.decode(line).data)
     return out
@@ -396,7 +396,7 @@ def copied(source: Path, out: Path, apart_ms: float, without: str = 'nothing') -
     """A recording as a busy recorder would have made it: each topic in its order, but up to so
     much later than the others; without topics of that name."""
     rng = np.random.default_rng(8)
-    with open_recording(source) as whole, RecordingWriter(out) as writer:
+    with Recording(source) as whole, RecordingWriter(out) as writer:
         for name, content in whole.attachments().items():
             writer.attach(name, content)
         moved = []
@@ -414,7 +414,7 @@ def copied(source: Path, out: Path, apart_ms: float, without: str = 'nothing') -
 def test_a_recording_that_came_in_another_order_is_answered_alike(
         steered: Path, tmp_path: Path) -> None:
     shuffled = copied(steered, tmp_path / 'shuffled', 80.0)
-    with open_recording(shuffled) as recording:
+    with Recording(shuffled) as recording:
         frames, commands = ({header_stamp_ns(m.data) for m in recording.messages([topic])}
                             for topic in ('/model/state', '/field/command'))
     answered = len(frames & commands)  # a busy machine lets a frame grow too old
@@ -429,7 +429,7 @@ def test_a_recording_that_came_in_another_order_is_answered_alike(
             assert found['/model/state']['compared'] == FRAMES
         if nodes != ['--node', 'model']:
             assert found['/field/command']['compared'] == answered
-    with open_recording(shuffled) as recording:
+    with Recording(shuffled) as recording:
         fields = [recording.decode(m).vector for m in recording.messages(['/field/command'])]
     # How many it were depends on when the switches came through.
     assert len({(field.x, field.y) for field in fields}) > 10
@@ -485,7 +485,7 @@ def test_a_network_is_named_on_the_command_line_or_left_out(tmp_path: Path, drov
             'ros__parameters': {'controller': drove, 'policy.file': '/tmp/theirs.onnx'}}}))
         writer.attach('/tmp/theirs.onnx', b'x')
         writer.write('/t', 'std_msgs/msg/String', 1, b'')
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         def found(policy: Path | None) -> Any:
             values = recorded_parameters(recording, ['controller'], tmp_path, policy)
             return values['controller']['policy.file']

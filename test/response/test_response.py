@@ -17,7 +17,7 @@ from microbot_ros.cli.response import _labelled
 from microbot_ros.response.result import Labelled, respond_all
 from microbot_ros.response.words import difference, summary, unlike
 from microbot_ros.session import write_session
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 
 DATA = Path(__file__).parents[1] / 'data'
 SHARED = Path(__file__).parents[2].parent / 'shared' / 'data' / 'speed_vs_frequency'
@@ -113,7 +113,7 @@ def test_a_recording_is_of_the_day_of_its_clock(folder, tmp_path):
         source = tmp_path / 'run' / 'run_0.mcap'
         source.parent.mkdir()
         source.symlink_to(DATA / 'tracking.mcap')
-    with open_recording(source) as recording:
+    with Recording(source) as recording:
         day = datetime.fromtimestamp(recording.start_ns * 1e-9, UTC).date()
     assert _labelled(source.parent if folder else source).day == day.isoformat()
 

@@ -8,12 +8,12 @@ from recordings import VECTOR, encode, record, small_session, vector
 
 from microbot_ros.common.records import Session
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.session.replay.compare import compare
 
 
 def by_topic(a, b, topics=None, **options):
-    with open_recording(a) as left, open_recording(b) as right:
+    with Recording(a) as left, Recording(b) as right:
         found = compare(left, right, topics, **options)
         return {difference.topic: difference for difference in found}
 

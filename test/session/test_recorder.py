@@ -13,7 +13,7 @@ from rosbags.highlevel import AnyReader
 from microbot_ros.common.errors import InputError
 from microbot_ros.session.mcap import recorder, store
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.session.mcap.store import MIB
 from microbot_ros.session.mcap.writer import McapWriter
 
@@ -102,7 +102,7 @@ def test_segments_roll_by_size_and_read_as_one(tmp_path, monkeypatch):
             writer.write('/camera/image_raw', IMAGE, i * MS, image(i))
             rolled.wait(0.002)
     assert len(list((tmp_path / 'run').glob('run_*.mcap'))) >= 3
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         assert recording.complete
         assert [m.t_ns // MS for m in recording.messages()] == list(range(1, i + 1))
     with AnyReader([tmp_path / 'run']) as reader:
@@ -121,7 +121,7 @@ def test_a_nearly_full_disk_costs_overlays_then_frames_and_no_command(tmp_path, 
         assert all(status.dropped[topic] == expected[topic] for topic in lost)
         assert status.counts == {k: n for k, n in expected.items() if k not in lost}
         assert bool(status.problem) == bool(lost)
-        with open_recording(tmp_path / str(free)) as recording:
+        with Recording(tmp_path / str(free)) as recording:
             kept = recording.metadata().get('dropped', {})
             assert kept == {topic: str(expected[topic]) for topic in lost}
 
@@ -181,7 +181,7 @@ def test_a_full_disk_costs_frames_and_keeps_commands_until_it_has_room(tmp_path)
     program = [sys.executable, '-B', '-c', FULL_DISK, tmp_path / 'run', Path(__file__).parent]
     result = subprocess.run(program, capture_output=True, text=True, timeout=100)
     assert result.returncode == 0, result.stderr
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         sent = [m.t_ns // 1000 for m in recording.messages(['/field/command'])]
         assert sent == list(range(1, int(result.stdout) + 1))
 
@@ -195,7 +195,7 @@ def test_a_disk_that_stays_full_leaves_a_readable_recording_and_says_so(tmp_path
         expected = fill(writer, 3)
     assert 'No space left' in writer.status().problem
     assert writer.status().dropped == expected
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         assert not recording.complete
         assert recording.topics == {}
 
@@ -226,7 +226,7 @@ def test_a_disk_that_stays_full_costs_data_only_when_memory_is_full_too(tmp_path
     status = writer.status()
     assert status.counts['/field/command'] == sent - 1
     assert status.dropped['/field/command'] == 1
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         assert recording.metadata()['dropped']['/field/command'] == '1'
 
 
@@ -264,7 +264,7 @@ def test_a_new_segment_that_the_disk_refuses_leaves_the_old_one_in_use(tmp_path,
         assert refused.wait(60)
         writer.write('/field/command', VECTOR, 10**10, vector(1, 0, 0))
     assert writer.status().counts['/field/command'] == expected['/field/command'] + 1
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         assert recording.complete
         assert recording.end_ns == 10**10
 

@@ -25,7 +25,7 @@ from microbot_ros.session.mcap import store
 from microbot_ros.session.mcap.bag import typestore
 from microbot_ros.session.mcap.chunk import ClosedChunk
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import is_recording, open_recording
+from microbot_ros.session.mcap.recording import Recording, is_recording
 from microbot_ros.session.mcap.writer import McapWriter
 from microbot_ros.session.replay.as_messages import SessionMessages
 
@@ -55,7 +55,7 @@ def test_a_session_comes_back_out_of_its_recording(tmp_path, rolling):
 def test_messages_come_by_topic_and_time_and_lazily(tmp_path):
     session = small_session()
     expected = list(SessionMessages(session).messages())
-    with open_recording(record(tmp_path / 'run', session)) as recording:
+    with Recording(record(tmp_path / 'run', session)) as recording:
         assert list(recording.messages()) == expected
         assert recording.start_ns == expected[0].t_ns
         assert recording.end_ns == expected[-1].t_ns
@@ -88,7 +88,7 @@ def test_cut_off_anywhere_all_whole_chunks_are_there(tmp_path, monkeypatch):
     for cut in [*range(8, 1200, 97), *range(1200, len(whole), 997), *ends, len(whole) - 1]:
         crashed = tmp_path / 'crashed.mcap'
         crashed.write_bytes(whole[:cut])
-        with open_recording(crashed) as recording:
+        with Recording(crashed) as recording:
             found = list(recording.messages())
             assert not recording.complete
             assert sum(topic.count for topic in recording.topics.values()) == len(found)
@@ -105,7 +105,7 @@ def test_zeros_after_a_power_cut_end_the_recording(tmp_path):
     for content in (whole[:end] + bytes(5000), whole[:end - 3000] + bytes(3000)):
         crashed = tmp_path / 'crashed.mcap'
         crashed.write_bytes(content)
-        with open_recording(crashed) as recording:
+        with Recording(crashed) as recording:
             assert not recording.complete
             list(recording.messages())
 
@@ -130,7 +130,7 @@ def begun(folder):
     """Whether messages are on the disk."""
     if not list(folder.glob('*.mcap')):
         return False
-    with open_recording(folder) as recording:
+    with Recording(folder) as recording:
         return any(recording.messages())
 
 
@@ -151,7 +151,7 @@ def test_kill_9_costs_less_than_a_second(tmp_path):
     lost_s = []
     for k in range(20):
         sent = killed(tmp_path / f'{k}')
-        with open_recording(tmp_path / f'{k}') as recording:
+        with Recording(tmp_path / f'{k}') as recording:
             lost_s.append(1e-9 * (sent[-1] - max(m.t_ns for m in recording.messages())))
     assert sorted(lost_s)[18] < 1  # of 95 %
 
@@ -159,13 +159,13 @@ def test_kill_9_costs_less_than_a_second(tmp_path):
 def test_after_kill_9_the_beginning_is_there_and_repair_makes_it_whole(tmp_path):
     folder = tmp_path / 'run'
     sent = killed(folder)
-    with open_recording(folder) as recording:
+    with Recording(folder) as recording:
         assert not recording.complete
         kept = [message.t_ns for message in recording.messages()]
         assert kept
         assert kept == sent[:len(kept)]
         recording.repair()
-    with open_recording(folder) as recording:
+    with Recording(folder) as recording:
         assert recording.complete
         assert [message.t_ns for message in recording.messages()] == kept
         assert recording.attachments() == {'rig.yaml': b'coils: 4'}
@@ -183,12 +183,12 @@ def test_a_recording_in_progress_reads_as_far_as_it_goes_and_is_not_repaired(
     with RecordingWriter(tmp_path / 'run') as writer:
         writer.write('/field/command', VECTOR, 7, vector(7, 1, 2))
         assert written.wait(60)
-        with open_recording(tmp_path / 'run') as recording:
+        with Recording(tmp_path / 'run') as recording:
             assert [message.t_ns for message in recording.messages()] == [7]
             with pytest.raises(InputError, match='no program is writing'):
                 recording.repair()
         writer.write('/field/command', VECTOR, 8, vector(8, 1, 2))
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         assert recording.complete
         assert [message.t_ns for message in recording.messages()] == [7, 8]
 
@@ -200,7 +200,7 @@ def test_a_recording_by_rosbags_reads_alike_and_survives_a_crash(tmp_path):
             writer.write(connection, 10**9 + i * 1000, vector(i, 1, 2) + bytes(300))
     file = tmp_path / 'bag' / 'bag.mcap'
     for complete in (True, False):
-        with open_recording(tmp_path / 'bag') as recording:
+        with Recording(tmp_path / 'bag') as recording:
             assert recording.complete == complete
             assert recording.topic('field/command', VECTOR) == '/rig/field/command'
             kept = list(recording.messages())
@@ -226,7 +226,7 @@ def test_a_recording_without_chunks_reads_alike_finished_or_cut_off(tmp_path):
     whole = (tmp_path / 'bare.mcap').read_bytes()
     for size in (len(whole), len(whole) // 2):
         (tmp_path / 'bare.mcap').write_bytes(whole[:size])
-        with open_recording(tmp_path / 'bare.mcap') as recording:
+        with Recording(tmp_path / 'bare.mcap') as recording:
             kept = list(recording.messages())
             assert kept == expected[:len(kept)]
             assert recording.complete == (len(kept) == len(expected))
@@ -253,16 +253,16 @@ def test_what_is_no_recording_is_refused(tmp_path):
     ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(InputError, match=said) as refusal:
-            open_recording(tmp_path / name)
+            Recording(tmp_path / name)
         assert refusal.value.source.endswith(name)
     with pytest.raises(InputError, match='CDR'):
-        open_recording(foreign(tmp_path / 'foreign.mcap'))
+        Recording(foreign(tmp_path / 'foreign.mcap'))
     with pytest.raises(InputError, match='found nothing'):
-        open_recording(tmp_path / 'nowhere')
+        Recording(tmp_path / 'nowhere')
     (tmp_path / 'bag').mkdir()
     (tmp_path / 'bag' / 'bag_0.db3').write_bytes(b'SQLite')
     with pytest.raises(InputError, match='sqlite3'):
-        open_recording(tmp_path / 'bag')
+        Recording(tmp_path / 'bag')
 
 
 def test_a_broken_index_is_made_anew(tmp_path):
@@ -272,11 +272,11 @@ def test_a_broken_index_is_made_anew(tmp_path):
     whole[summary:summary + 30] = b'\xfe' * 30
     file.write_bytes(whole)
     expected = list(SessionMessages(small_session()).messages())
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         assert not recording.complete
         assert list(recording.messages()) == expected
         recording.repair()
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         assert recording.complete
         assert list(recording.messages()) == expected
 
@@ -288,7 +288,7 @@ def test_broken_chunks_are_refused_where_they_are_read(tmp_path):
         start = make_reader(stream).get_summary().chunk_indexes[0].chunk_start_offset
     whole[start + 60:start + 200] = bytes(140)
     file.write_bytes(whole)
-    with open_recording(file) as recording, pytest.raises(InputError, match='damaged data'):
+    with Recording(file) as recording, pytest.raises(InputError, match='damaged data'):
         list(recording.messages())
 
 
@@ -315,7 +315,7 @@ def test_a_chunk_that_would_fill_the_memory_is_refused(tmp_path, compression, sq
     assert file.stat().st_size < 2**21
     tracemalloc.start()
     try:
-        with pytest.raises(InputError, match='damaged data'), open_recording(file) as recording:
+        with pytest.raises(InputError, match='damaged data'), Recording(file) as recording:
             list(recording.messages())
         assert tracemalloc.get_traced_memory()[1] < 2**26
     finally:
@@ -327,14 +327,14 @@ def test_mixed_and_incomplete_folders_are_refused(tmp_path):
     b = record(tmp_path / 'b', small_session())
     (b / 'b_0.mcap').rename(a / 'b_0.mcap')
     with pytest.raises(InputError, match=r'b_0\.mcap'):
-        open_recording(b)
+        Recording(b)
     (a / 'metadata.yaml').write_text('nonsense: 1\n')
     with pytest.raises(InputError, match='rosbag2') as refusal:
-        open_recording(a)
+        Recording(a)
     assert refusal.value.source.endswith('metadata.yaml')
     (a / 'metadata.yaml').unlink()
     with pytest.raises(InputError, match='files of a, b'):
-        open_recording(a)
+        Recording(a)
     (a / 'b_0.mcap').unlink()
     (a / 'tracks.csv').write_text('')
     with pytest.raises(InputError, match='both'):
@@ -349,7 +349,7 @@ def test_files_of_a_recording_that_disagree_on_a_type_are_refused(tmp_path):
     for i in range(2):
         (tmp_path / str(i) / f'{i}_0.mcap').rename(tmp_path / 'run' / f'run_{i}.mcap')
     with pytest.raises(InputError, match='Vector3Stamped on /field/command'):
-        open_recording(tmp_path / 'run')
+        Recording(tmp_path / 'run')
 
 
 @pytest.mark.parametrize(('topics', 'kind', 'data', 'said'), [

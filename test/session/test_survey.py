@@ -9,7 +9,7 @@ from microbot_ros.common.records import Commands, Session
 from microbot_ros.session import write_session
 from microbot_ros.session.mcap.bag import typestore
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.session.replay.as_messages import SessionMessages
 from microbot_ros.session.survey import (
     command_spread,
@@ -81,7 +81,7 @@ def test_a_folder_and_its_recording_tell_the_same(tmp_path):
     session = small_session()
     write_session(tmp_path / 'csv', session)
     folder, _ = survey_folder(tmp_path / 'csv')
-    with open_recording(record(tmp_path / 'run', session)) as recording:
+    with Recording(record(tmp_path / 'run', session)) as recording:
         recorded, _ = survey_recording(recording)
     assert [t.count for t in folder.topics] == [t.count for t in recorded.topics]
     for a, b in zip(folder.topics, recorded.topics, strict=True):
@@ -104,7 +104,7 @@ def test_gaps_latency_and_what_was_dropped_are_told(tmp_path):
             writer.write('/coil_driver/latency', TIME_REFERENCE, (i + 12) * 1_000_000, data)
         writer.attach('rig.yaml', '')
         writer.describe('dropped', {'/markers': '7'})
-    with open_recording(tmp_path / 'run') as recording:
+    with Recording(tmp_path / 'run') as recording:
         found, session = survey_recording(recording)
     assert session is None
     assert 'particles' in found.remarks[0]

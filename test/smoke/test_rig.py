@@ -20,7 +20,7 @@ from microbot_ros.common.records import Commands
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes.base import messages
 from microbot_ros.session import read_session
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 
 pytestmark = [pytest.mark.xdist_group('smoke'), pytest.mark.timeout(400)]
 
@@ -114,7 +114,7 @@ def test_every_node_says_how_it_is(rig: SmokeRig) -> None:
 def test_a_recording_holds_every_topic(rig: SmokeRig) -> None:
     done = rig.microbot('record', '--stop')
     assert done.returncode == 0, done.stderr
-    with open_recording(rig.recording) as recording:
+    with Recording(rig.recording) as recording:
         assert recording.complete
         assert {name for name, topic in recording.topics.items() if topic.count} >= RECORDED
         assert recording.metadata()['recording']['title'] == 'smoke'
@@ -129,7 +129,7 @@ def test_a_recording_begins_and_ends_by_a_command(rig: SmokeRig) -> None:
         if status:
             assert f'already recording to {folder}' in done.stderr
         rig.client.spin(0.5)
-    with open_recording(folder) as recording:
+    with Recording(folder) as recording:
         assert recording.complete
 
 
@@ -182,7 +182,7 @@ def test_info_shows_what_is_in_the_recording(rig: SmokeRig) -> None:
 def _acted(rig: SmokeRig, commands: Commands) -> float:
     """For which part of the time with a command currents flowed: while a busy machine pauses the
     driver, the amplifier's watchdog zeroes them."""
-    with open_recording(rig.recording) as recording:
+    with Recording(rig.recording) as recording:
         began_s, ended_s = recording.start_ns / 1e9, recording.end_ns / 1e9
     t = np.linspace(0.0, ended_s - began_s, 10_000)
     log = rig.entries()

@@ -14,7 +14,7 @@ import numpy as np
 from microbot_ros.common import units
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes.base import messages
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 
 LAST_SECONDS = 5.0
 """Duration [s] at the end of the run over which the goal error is averaged. Choice: half is
@@ -73,7 +73,7 @@ class DemoRun:
         run = cls({}, {}, {}, [], np.empty(0), {}, math.nan)
         clouds = {'/virtual_rig/truth': run.truth, '/particles': run.particles}
         latency = []
-        with open_recording(path) as recording:
+        with Recording(path) as recording:
             topics = [*kinds, '/model/state', '/goals', '/coil_driver/latency', '/diagnostics']
             for raw in recording.messages(topics=topics):
                 message: Any = recording.decode(raw)

@@ -14,7 +14,7 @@ from microbot_ros.cli.demo.results import DemoRun
 from microbot_ros.cli.replay.film import poses_of
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes.base import messages
-from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.recording import Recording
 from microbot_ros.tracking import ImageToWorkspace
 from microbot_ros.tracking.overlay import OverlayVideo, draw_overlay
 
@@ -63,7 +63,7 @@ def write_video(run: DemoRun, recording: Path, pixel_size: float, path: Path) ->
 
 
 def _frames(recording: Path) -> Iterator[tuple[float, np.ndarray]]:
-    with open_recording(recording) as opened:
+    with Recording(recording) as opened:
         for raw in opened.messages(topics=['/camera/image_raw']):
             message: Any = opened.decode(raw)
             yield messages.to_seconds(message.header.stamp), messages.gray(message)
@@ -71,7 +71,7 @@ def _frames(recording: Path) -> Iterator[tuple[float, np.ndarray]]:
 
 def _fields(recording: Path) -> np.ndarray:
     """Return rows (t, bx, by) of the field read back from the coils."""
-    with open_recording(recording) as opened:
+    with Recording(recording) as opened:
         rows = []
         for raw in opened.messages(topics=['/field/applied']):
             message: Any = opened.decode(raw)

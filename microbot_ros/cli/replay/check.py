@@ -12,7 +12,7 @@ from rich.console import Console
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import write_json
-from microbot_ros.session.mcap.recording import is_recording, open_recording
+from microbot_ros.session.mcap.recording import Recording, is_recording
 from microbot_ros.session.replay.compare import Doubt, TopicDifference, compare
 from microbot_ros.session.replay.log import header_stamp_ns
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from microbot_ros.nodes.replay import Replay
-    from microbot_ros.session.mcap.recording import Recording
 
 
 ORDER_TOLERANCE, ORDER_SHARE = 1e-3, 0.01
@@ -94,7 +93,7 @@ def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
     from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
 
     progress = Console(stderr=True, highlight=False)
-    with open_recording(session) as recorded:
+    with Recording(session) as recorded:
         plan = plan_replay(recorded, session, nodes)
         parameters = read_rig(config) if config else recorded_parameters(
             recorded, plan.nodes, scratch, policy)
@@ -105,7 +104,7 @@ def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
         length = end or (recorded.end_ns - recorded.start_ns) / 1e9
         with progress.status(f'{length:.0f} s through {", ".join(plan.nodes)}'):
             replay.run()
-        with open_recording(out) as replayed:
+        with Recording(out) as replayed:
             return _compared(recorded, replayed, replay, tolerance, progress)
 
 

@@ -15,7 +15,7 @@ from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import require
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes.base import messages
-from microbot_ros.session.mcap.recording import Recording, kept_parameters, open_recording
+from microbot_ros.session.mcap.recording import Recording, kept_parameters
 from microbot_ros.tracking import ImageToWorkspace, Poses
 from microbot_ros.tracking.overlay import OverlayVideo
 
@@ -47,7 +47,7 @@ def write_film(session: Path, out: Path) -> None:
         If there are neither frames nor particles.
     """
     require('mcap', 'video')
-    with open_recording(session) as recording:
+    with Recording(session) as recording:
         frames = recording.topic('camera/image_raw', 'sensor_msgs/msg/Image')
         particles = recording.topic('particles', 'sensor_msgs/msg/PointCloud2')
         shown = frames or particles

@@ -34,12 +34,18 @@ class Recording:
 
     `topics` by name; `start_ns` and `end_ns` are the times of receipt of the first and last
     message (0 without messages); `complete` is False for a recording that was cut off, of which
-    every whole chunk is available.
+    every whole chunk is available. The index at the end of each file is used, or made from the
+    chunks.
 
     Parameters
     ----------
     path : str or Path
-        File or folder.
+        Recording folder or `.mcap` file, finished or cut off by a crash.
+
+    Raises
+    ------
+    InputError
+        If files are missing, empty, of another format, or of several recordings.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -245,25 +251,6 @@ def kept_parameters(path: Path, kept: Mapping[str, bytes], node: str) -> dict[st
     if not all(isinstance(name, str) and Path(name).name == name for name in values):
         raise InputError(path, f'expected names of parameters of {node} in it')
     return values
-
-
-def open_recording(path: str | Path) -> Recording:
-    """Open the recording folder or `.mcap` file `path`, finished or cut off by a crash.
-
-    The index at the end of each file is used, or made from the chunks. Raises InputError for files
-    that are missing, empty, of another format, or of several recordings.
-
-    Parameters
-    ----------
-    path : str or Path
-        File or folder.
-
-    Returns
-    -------
-    Recording
-        The recording.
-    """
-    return Recording(path)
 
 
 def is_recording(path: Path) -> bool:

@@ -13,7 +13,6 @@ from microbot_ros.session.mcap.recording import (
     Recording,
     is_recording,
     is_topic,
-    open_recording,
 )
 from microbot_ros.session.replay.as_messages import SessionMessages
 from microbot_ros.session.tables.folder import read_folder
@@ -42,7 +41,7 @@ def open_source(path: str | Path) -> Iterator[Source]:
     if path.exists() and not is_recording(path):
         yield SessionMessages(read_folder(path))
     else:
-        with open_recording(path) as recording:
+        with Recording(path) as recording:
             if not recording.end_ns:
                 raise InputError(path, 'expected messages, found no whole one')
             yield recording
