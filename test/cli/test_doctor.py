@@ -59,6 +59,10 @@ def test_lateness_is_what_comes_on_top_of_the_wait():
     ('amplifier: roboclaw', 'ok', 'roboclaw: set in the device and read back'),
     ('port: /dev/null', 'ok', 'serial_transfer: in the firmware, if it has one'),
     ('accept_no_watchdog: true', 'warn', 'serial_transfer, accepted without a watchdog'),
+    ('{amplifier: sabertooth, accept_no_feedback: true, port: "rfc2217://10.0.0.9:4000"}', 'fail',
+     'sabertooth at rfc2217://10.0.0.9:4000: the sentinel cannot open'),
+    ('{amplifier: sabertooth, accept_no_feedback: true, port: /dev/ttyUSB0}', 'warn',
+     'sabertooth measures no currents'),
 ])
 def test_what_a_missing_watchdog_means_is_said(tmp_path, coil_driver, level, sentence):
     rig = tmp_path / 'rig.yaml'

@@ -261,13 +261,18 @@ def _coils(file: str) -> str:
 
 def _watchdog(config: Path) -> Finding:
     from microbot_ros.drive.amplifier import Watchdog, amplifier_class
-    from microbot_ros.drive.coil_driver import WITHOUT_FEEDBACK, WITHOUT_WATCHDOG
+    from microbot_ros.drive.coil_driver import UNWATCHABLE, WITHOUT_FEEDBACK, WITHOUT_WATCHDOG
+    from microbot_ros.drive.transport import has_descriptor
     from microbot_ros.nodes.configuration import read_rig
 
     given = read_rig(config).get('coil_driver', {})
     protocol = given.get('amplifier', 'serial_transfer')
     amplifier = amplifier_class(protocol)
     watchdog = amplifier.watchdog
+    if (watchdog is Watchdog.UNCONFIRMED and not given.get('accept_no_watchdog')
+            and not all(map(has_descriptor, str(given.get('port', '')).split(',')))):
+        return Finding('watchdog', 'fail', f'{protocol} at {given["port"]}: {UNWATCHABLE}; it is '
+                                           'driven only with coil_driver.accept_no_watchdog: true')
     if not amplifier.reads_back:
         accepted = given.get('accept_no_feedback')
         then = ('accepted' if accepted else
