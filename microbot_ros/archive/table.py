@@ -136,6 +136,22 @@ def write_table(archive: Archive, all_rows: list[dict[str, Any]]) -> Path:
     return archive.folder / TABLE
 
 
+def write_rows(all_rows: list[dict[str, Any]], path: Path) -> None:
+    """Write rows as Parquet.
+
+    Parameters
+    ----------
+    all_rows : list of dict of str to object
+        Rows with the same columns.
+    path : Path
+        Path of the file.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.Table.from_pylist(all_rows), path)
+
+
 def read_table(archive: str | Path) -> pyarrow.Table:
     """Return the table of an archive; `.to_pandas()` converts it to a data frame.
 

@@ -143,12 +143,10 @@ def _write_parquet(found: object, folder: Path) -> bool:
 
     if find_spec('pyarrow') is None:
         return False
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+    from microbot_ros.archive.table import write_rows
     from microbot_ros.response.report import rows
     from microbot_ros.response.result import Response
 
     assert isinstance(found, Response)
-    pq.write_table(pa.Table.from_pylist(rows(found)), folder / 'response.parquet')
+    write_rows(rows(found), folder / 'response.parquet')
     return True

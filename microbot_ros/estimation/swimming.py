@@ -84,7 +84,7 @@ class Swimming:
         sums = rest[:len(rest) // BLOCK * BLOCK].reshape(-1, BLOCK).sum(axis=1)
         variance = max(_square(rest) / len(rest), _square(sums) / len(sums) / BLOCK,
                        (INEXACT * abs(c)) ** 2 * power / len(steps)) / 2
-        if power * abs(c) ** 2 < KNOWN**2 * variance:
+        if power * abs(c) ** 2 <= KNOWN**2 * variance:
             return None
         return cls(c, flow, variance)
 

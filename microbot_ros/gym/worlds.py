@@ -91,6 +91,9 @@ class SteeredWorlds:
         if foreign := [name for name in self.scenario.effects if name not in INJECTABLE]:
             raise InputError(self._source, "'effects': expected effects of the physics, not "
                                            f'{foreign[0]} of another package')
+        if self.scenario.learned or self.scenario.walls_um:
+            raise InputError(self._source, 'expected neither learned terms of a model nor '
+                                           "'walls_um': worlds that learn have none")
         self._randomise = _checked(randomise or {})
         self._prepare_loop()
         self._camera = self.scenario.camera.camera()

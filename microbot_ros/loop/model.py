@@ -11,6 +11,7 @@ import numpy as np
 
 from microbot_ros.common.records import Conditions
 from microbot_ros.common.settings import setting
+from microbot_ros.estimation.online.commands import SET_BACK
 from microbot_ros.estimation.online.estimator import Estimates, Estimator, Settings
 from microbot_ros.loop.points import ESTIMATE, numbers
 
@@ -62,6 +63,7 @@ class ModelStage:
         self._first_order = self.estimator.model
         self._model_file = ''
         self._origin: float | None = None
+        self._newest = -math.inf
         self._early: deque[tuple[float, np.ndarray, float | None]] = deque(maxlen=_EARLY)
         self.estimates: Estimates | None = None
         """Estimates after the last frame."""
@@ -141,11 +143,14 @@ class ModelStage:
     def _exposed(self, t: float) -> float:
         """Return seconds since the first frame.
 
-        Effects such as fuel decay count from the start.
+        Effects such as fuel decay count from the start, and anew where the clock was set back.
         """
-        if self._origin is None:
+        began = self._origin is None or t < self._newest - SET_BACK
+        self._newest = t
+        if began:
             self._origin = t
             self._take_commands(t)
+        assert self._origin is not None
         return t - self._origin
 
     def _take_commands(self, origin: float) -> None:

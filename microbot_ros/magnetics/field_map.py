@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -196,9 +198,10 @@ def read_field_map(path: str | Path) -> FieldMap:
 def _from_arrays(path: Path) -> FieldMap:
     names = (*COLUMNS[:3], _FIELD)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open('rb') as stream, np.load(stream, allow_pickle=False) as file:
             arrays = [np.asarray(file[name], dtype=float) for name in names]
-    except (OSError, ValueError, TypeError, KeyError, EOFError) as error:
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile,
+            zlib.error) as error:
         raise InputError(path, f'expected an NPZ file with {", ".join(names)} ({error})') from None
     if any(array.ndim != 1 for array in arrays[:3]):
         raise InputError(path, 'expected one dimension in x_mm, y_mm and z_mm')

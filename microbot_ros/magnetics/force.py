@@ -106,7 +106,7 @@ def force_speed(
     if any(allocation.saturated for allocation in allocations):
         raise InputError('magnitude', "expected a field in the coils' reach; received "
                                       f'{magnitude} T')
-    currents = np.array([allocation.currents for allocation in allocations])
+    currents = coils.effective([allocation.currents for allocation in allocations])
     field = np.tensordot(currents, coils.field_per_ampere(points), 1)
     field[..., :coils.axes] += coils.background
     gradient = np.tensordot(currents, coils.gradient_per_ampere(points), 1)

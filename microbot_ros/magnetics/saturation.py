@@ -10,6 +10,13 @@ from numpy.typing import ArrayLike
 
 from microbot_ros.common.errors import InputError
 
+_MEASURED = 0.02
+"""Fraction of its last point by which a current may exceed a curve.
+
+Choice: readings of the full current scatter by a percent; at half, some have no field, at twice, a
+wrong curve goes unnoticed.
+"""
+
 
 class Saturation:
     """Curve of effective over true current of a coil with a saturating core.
@@ -36,7 +43,7 @@ class Saturation:
         if not (len(rise) and np.isfinite(pairs).all() and (rise > 0).all()):
             raise InputError('saturation', 'expected pairs [A, effective A] ascending from 0')
         true, effective = pairs.T
-        self._last = pairs[-1].tolist()
+        self._last, self._slope = pairs[-1].tolist(), float(rise[-1, 1] / rise[-1, 0])
         self._driven = PchipInterpolator(effective, true, extrapolate=False)
 
     def driven(self, effective: ArrayLike) -> np.ndarray:
@@ -57,6 +64,9 @@ class Saturation:
     def effective(self, driven: ArrayLike) -> np.ndarray:
         """Convert true currents `driven` [A] to effective ones; NaN beyond the curve.
 
+        Just beyond it, as a reading of the largest current may be, it goes on along its last two
+        points.
+
         Parameters
         ----------
         driven : ArrayLike
@@ -73,5 +83,7 @@ class Saturation:
 
     def _inverse(self, current: float) -> float:
         if not current < self._last[0]:  # at the end itself rounding may leave no root
-            return self._last[1] if current == self._last[0] else math.nan
+            if not current <= (1 + _MEASURED) * self._last[0]:
+                return math.nan
+            return float(self._last[1] + (current - self._last[0]) * self._slope)
         return float(self._driven.solve(current, extrapolate=False)[0])

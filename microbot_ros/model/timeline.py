@@ -21,6 +21,12 @@ LONGEST = 0.1
 Choice: a particle moves by less than its size in it; time of a fit is inverse to it.
 """
 
+REMEMBERED = 30.0
+"""Time [s] before the first frame that is divided so; what was commanded earlier stays whole.
+
+Choice: headings forget within seconds; a command may be in force for a day.
+"""
+
 PARTS = 8
 """Number of cached parts of models. Choice: more than a model of a few effects has."""
 
@@ -207,7 +213,10 @@ class Timeline:
         edges.sort(kind='stable')  # a merge: both were ascending
         edges = edges[np.append(True, edges[1:] > edges[:-1])]
         if not whole:
-            edges = _subdivide(edges)
+            begin = max(edges[0], times[0] - REMEMBERED)
+            first = int(edges.searchsorted(begin))
+            edges = np.concatenate([
+                edges[:first], _subdivide(np.unique(np.append(begin, edges[first:])))])
         start = edges[:-1, None]
         span = edges[1:, None] - start
         lead = int(edges.searchsorted(times[0]))
@@ -245,6 +254,8 @@ def last_change(field: np.ndarray, frequency: np.ndarray | None = None) -> np.nd
     ndarray of int, shape (K,)
         Row of the last change, for each row.
     """
+    if not len(field):
+        return np.empty(0, int)
     changed = (np.diff(field, axis=0) != 0).any(axis=tuple(range(1, field.ndim)))
     if frequency is not None:
         turns = frequency.reshape(len(field), -1)

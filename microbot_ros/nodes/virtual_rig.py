@@ -42,9 +42,8 @@ from microbot_ros.virtual_rig.world import FieldHistory, World
 
 _REFERENCE_FIELD = 5e-3
 """Field [T] at which speeds and alignment are given: that of the paper, 5 mT."""
-_LONGEST_DELAY = 1.0
-"""Longest delay of the field [s] for which changes are kept. Choice: a longer hidden delay is not
-exact; twice keeps twice as many changes."""
+_LONGEST_DELAY = 2.0
+"""Longest delay of the field [s] for which changes are kept: the bound of `command_delay`."""
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,7 @@ def roll_frequency(body: Any, frequency: float) -> float:
         rolled = drive * _hill(drive, body.cut_in, body.cut_in_steepness)
         rolled *= 1 - body.slip * _hill(drive, body.step_out, body.step_out_steepness)
     else:
-        rolled = math.sqrt(max(drive**2 - body.cut_in**2, 0.0))
+        rolled = math.sqrt(max(drive**2 - min(body.cut_in, body.step_out)**2, 0.0))
         if drive > body.step_out:
             rolled *= 1 - math.sqrt(1 - (body.step_out / drive) ** 2)
     return math.copysign(rolled, frequency)

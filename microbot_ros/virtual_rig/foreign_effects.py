@@ -32,7 +32,7 @@ _DISTURBED = ('drift_x', 'drift_y', 'speed', 'gain', 'moment')
 
 
 def check_effect(effect: str, parameters: Mapping[str, float | Sequence[float]]) -> None:
-    """Raise ValueError for an unknown `effect` or parameter, or an impossible value.
+    """Raise ValueError for an unknown `effect` or parameter, a missing or an impossible value.
 
     Unlike `injected_effects.check` it also knows effects of other packages, with one number for
     each of their `parameters`.
@@ -46,6 +46,9 @@ def check_effect(effect: str, parameters: Mapping[str, float | Sequence[float]])
     """
     if effect in INJECTABLE:
         check(effect, parameters)
+        missing = [name for name in INJECTABLE[effect] if name not in parameters]
+        if missing and effect != 'drive_response':  # a cut-in or a step-out may be alone
+            raise ValueError(f'{effect} expects also: {", ".join(missing)}')
     elif effect in EFFECTS:
         foreign_effects({effect: parameters})
     else:
@@ -73,7 +76,7 @@ def foreign_effects(effects: Given) -> tuple[Effect, ...]:
 def make_world(
     bodies: np.ndarray, rng: np.random.Generator, effects: Given, reference_field: float,
     learned: Sequence[LearnedTerm] = (), half_extent: tuple[float, float] = (np.inf, np.inf),
-    walls: ArrayLike = (),
+    walls: ArrayLike = (), ids: np.ndarray | None = None,
 ) -> World:
     """Return a `World` that also feels effects of other packages and learned terms.
 
@@ -97,6 +100,8 @@ def make_world(
         Half of the sides of the workspace [m].
     walls : ArrayLike
         Ends of the walls [m].
+    ids : ndarray of int, shape (N,), or None
+        Ids of the particles, for terms of single particles; None for 0 to N − 1.
 
     Returns
     -------
@@ -107,7 +112,7 @@ def make_world(
     if not (foreign or learned):
         return World(bodies, rng, half_extent, walls)
     model = Model(reference_field, effects=foreign, learned=tuple(learned))
-    return ForeignWorld(bodies, rng, half_extent, model, walls)
+    return ForeignWorld(bodies, rng, half_extent, model, walls, ids)
 
 
 class ForeignWorld(World):
@@ -130,12 +135,16 @@ class ForeignWorld(World):
         The model.
     walls : ArrayLike
         Ends of the walls [m].
+    ids : ndarray of int, shape (N,), or None
+        Ids of the particles; None for 0 to N − 1.
     """
 
     def __init__(self, bodies: np.ndarray, rng: np.random.Generator,
-                 half_extent: tuple[float, float], model: Model, walls: ArrayLike = ()) -> None:
+                 half_extent: tuple[float, float], model: Model, walls: ArrayLike = (),
+                 ids: np.ndarray | None = None) -> None:
         super().__init__(bodies, rng, half_extent, walls)
         self._model = model
+        self._ids = np.arange(len(bodies)) if ids is None else ids
 
     def advance(self, until: float, history: FieldHistory) -> np.ndarray:
         if until <= self.t:
@@ -191,4 +200,4 @@ class ForeignWorld(World):
         feel(self.bodies, field)
         return EffectContext(
             np.array([t]), np.array([length]), field, frequency, self._model.reference_field,
-            Places(self.position, np.arange(len(rows)), self.bodies['phi'].copy()), since)
+            Places(self.position, self._ids, self.bodies['phi'].copy()), since)

@@ -64,8 +64,9 @@ INJECTABLE = LISTED | UNLISTED
 # Columns used as divisors, or undefined at zero.
 _POSITIVE = {
     'moment', 'fuel_time', 'spot_width', 'step_out', 'channel_half_width', 'uphill_length',
-    'settling_time', 'trap_length', 'repulsion_range',
+    'settling_time', 'trap_length', 'repulsion_range', 'aspect', 'gain_y',
 }
+_NOT_NEGATIVE = {'delay', 'deadband', 'field_scale', 'cut_in'}
 
 
 def check(effect: str, parameters: Mapping[str, float | Sequence[float]]) -> None:
@@ -89,6 +90,8 @@ def check(effect: str, parameters: Mapping[str, float | Sequence[float]]) -> Non
             raise ValueError(f'{effect} {name} must be finite; received {value}')
         if known[name] in _POSITIVE and not np.greater(value, 0).all():
             raise ValueError(f'{effect} {name} must be positive; received {value}')
+        if known[name] in _NOT_NEGATIVE and not np.greater_equal(value, 0).all():
+            raise ValueError(f'{effect} {name} must not be negative; received {value}')
     missing = [name for name in known if name not in parameters]
     if effect == 'drive_response' and 'slip' in parameters and missing:
         raise ValueError(f'{effect} with a slip expects also: {", ".join(missing)}')

@@ -348,6 +348,9 @@ def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
     particles = scenario.listed
     if scenario.model is not None:
         model, particles = read_model(path.parent / scenario.model)
+        if not len(particles.ids):
+            raise InputError(path.parent / scenario.model,
+                             'expected particles to simulate, found none')
         scenario = _with_model(path, scenario, model)
     for effect, parameters in scenario.effects.items():
         try:
@@ -374,6 +377,9 @@ def _with_model(path: Path, scenario: Scenario, model: Model) -> Scenario:
             path, f"'reference_field_mT': expected {model.reference_field * 1e3:g}, as in "
             f'{scenario.model}', line_of(path, 'reference_field_mT'))
     found = write_effects(model.effects)
-    changed = scenario.replaced(effects=found | scenario.effects)
+    try:
+        changed = scenario.replaced(effects=found | scenario.effects)
+    except SettingsError as error:
+        raise InputError(path, f'{scenario.model}: {error}', line_of(path, 'model')) from None
     object.__setattr__(changed, '_learned', model.learned)
     return changed

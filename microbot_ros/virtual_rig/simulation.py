@@ -51,6 +51,14 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
     Session
         The session.
     """
+    session = _simulated(scenario, particles, source)
+    if not len(session.tracks.t):
+        raise InputError(source, 'expected particles that the camera sees and the tracker finds, '
+                         'found none: is the recording long enough, are frames left out?')
+    return session
+
+
+def _simulated(scenario: Scenario, particles: ParticleParameters, source: str) -> Session:
     rng = np.random.default_rng(scenario.seed)
     count = len(particles.ids)
     start = starting_places(scenario, count, rng, source)
@@ -60,7 +68,7 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
     if scenario.physics == 'langevin':
         world = make_world(make_bodies(scenario, particles, start, heading), rng,
                            scenario.effects, scenario.reference_field, scenario.learned,
-                           walls=1e-6 * np.array(scenario.walls_um))
+                           walls=1e-6 * np.array(scenario.walls_um), ids=particles.ids)
         if scenario.controller and scenario.controller.pictures:
             # Particles have the ids of the tracker.
             return film(scenario, world, source)

@@ -245,9 +245,11 @@ def test_bad_scenarios_name_line_and_key(tmp_path, scenario, culprit, complaint)
     (changed(commands={'steps': {'field_mT': 5, 'dwell_s': [3, 2]}}), 'shortest, then'),
     (changed(commands={'rows': [{'t_s': 0, 'field_mT': 5, 'direction_deg': 0}] * 2}), 'ascend'),
     (changed(camera={'frame_rate_hz': 20, 'missed': 0.8, 'run': 2}), 'at least 4'),
-    (quiet(physics='first_order', effects={'trap': {'speed_um_s': 1}}), 'effects.trap'),
-    (quiet(physics='first_order', effects={'uniform_drift': {'wx_um_s': 1}}),
-     'effects.uniform_drift.wy_um_s'),
+    (quiet(physics='first_order', effects={'trap': {'speed_um_s': 1, 'length_um': 9}}),
+     'effects.trap'),
+    (changed(effects={'uniform_drift': {'wx_um_s': 1}}), 'uniform_drift expects also: wy_um_s'),
+    (changed(effects={'command_delay': {'delay_s': -1}}), 'delay_s must not be negative'),
+    (changed(effects={'pixel_anisotropy': {'aspect': 0}}), 'aspect must be positive'),
     (quiet(physics='newton_stokes', effects={'speed_decay': {'tau_s': 9}}), 'without effects'),
     (quiet(physics='first_order', commands={'herding': {'field_mT': 5}}), 'expected langevin'),
     (changed(physics='newton_stokes', camera={'frame_rate_hz': 20, 'exposure': 1}),
@@ -265,4 +267,8 @@ def test_a_model_for_other_particles_is_refused(tmp_path):
         run(tmp_path, scenario)
     write_model(tmp_path / 'model.yaml', Model(5e-3, 'rolling'), particles)
     with pytest.raises(InputError, match='expected rolling'):
+        run(tmp_path, scenario)
+    write_model(tmp_path / 'model.yaml', Model(5e-3), ParticleParameters(
+        *(np.empty(0, kind) for kind in (int, float, float))))
+    with pytest.raises(InputError, match='expected particles to simulate, found none'):
         run(tmp_path, scenario)

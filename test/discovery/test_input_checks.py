@@ -19,6 +19,21 @@ from microbot_ros.virtual_rig.world import World
 SHARED = Path(__file__).parents[2].parent / 'shared' / 'data' / 'speed_vs_frequency'
 
 
+def test_too_brief(film):
+    session, _ = film(0, duration=2.4, camera=Camera(60.0, 0.0, 0.1e-6))
+    with pytest.raises(InputError, match=r'at least 2\.5 s.*found 2\.4 s'):
+        check_sessions([session])
+
+
+def test_particles_that_may_always_touch(film):
+    session, _ = film(0, count=2, duration=8.0)
+    tracks = session.tracks
+    own = tracks.position[tracks.particle == 0]
+    beside = np.stack([own, own + np.array([9e-6, 0.0])], axis=1).reshape(-1, 2)
+    with pytest.raises(InputError, match='apart from each other'):
+        check_sessions([replace(session, tracks=replace(tracks, position=beside))])
+
+
 def moved(session, change):
     tracks = session.tracks
     return replace(session, tracks=replace(tracks, position=change(tracks.position.copy())))

@@ -127,6 +127,28 @@ def test_what_drifts_to_the_edge_without_a_field_keeps_its_speed(seed):
 
 
 @pytest.mark.parametrize('seed', SEEDS)
+def test_without_a_field_nothing_is_held(seed):
+    """Headings diffuse then, so that a particle stays about where it is."""
+    random = np.random.default_rng(seed)
+    estimator = Estimator(Conditions(radius=1e-6, viscosity=1e-3))
+    place, heading, rate = 0j, 0.0, 20
+    for frame in range(80 * rate):
+        if frame % 40 == 0 or frame == 40 * rate:
+            heading = frame // 40 * 1.1
+            strength = FIELD if frame < 40 * rate else 0.0
+            estimator.command(
+                frame / rate, strength * np.array([np.cos(heading), np.sin(heading)]))
+        if frame >= 40 * rate:
+            heading += np.sqrt(2 * 0.164 / rate) * random.normal()
+        seen = place + READ * complex(*random.normal(size=2))
+        found = estimator.update(
+            frame / rate, np.array([7]), np.array([[seen.real, seen.imag]]), np.full(1, READ))
+        assert 'held' not in ''.join(found.diagnosis)
+        place += SPEED * np.exp(1j * heading) / rate + np.sqrt(
+            2 * DIFFUSION / rate) * complex(*random.normal(size=2))
+
+
+@pytest.mark.parametrize('seed', SEEDS)
 def test_what_one_command_presses_to_a_wall_has_no_speed_and_says_why(seed):
     told = swim(40.0, lambda t: 0.9 * t if t < 8 else -PHI, wall=15e-6, start=(-5e-6, 0.0),
                 seed=seed)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.records import Commands
+from microbot_ros.common.records import Commands, Conditions
 from microbot_ros.estimation.online.estimator import Estimator, Settings
 from microbot_ros.model.effects.field.command_delay import CommandDelay
 from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
@@ -290,6 +290,34 @@ def test_frames_and_commands_out_of_order_are_ignored_and_said():
     assert any('not later' in text for text in again.diagnosis)
     assert any('not finite' in text for text in again.diagnosis)
     assert any('before it: ignored' in text for text in again.diagnosis)
+
+
+def test_notes_of_before_the_clock_was_set_back_go():
+    estimator, random = Estimator(CONDITIONS), np.random.default_rng(0)
+    for begin, leap in ((3600.0, 50e-6), (0.0, 0.0)):
+        for k in range(400):
+            t = begin + k / 20
+            if k % 40 == 0:
+                estimator.command(t, FIELD * np.array([np.cos(k), np.sin(k)]))
+            place = 1e-7 * random.normal(size=(1, 2)) + leap * (k > 380)
+            found = estimator.update(t, np.array([3]), place, np.array([1e-7]))
+        assert any('jumped' in one for one in found.diagnosis) == (leap > 0)
+
+
+def test_a_roller_is_judged_by_its_gain():
+    estimator, random = Estimator(
+        Conditions(propulsion='rolling', radius=0.5e-6, viscosity=1e-3)), np.random.default_rng(0)
+    place, gain, frequency = 0j, 0.08e-6, 30.0
+    for k in range(800):
+        angle = k // 40 * 1.1
+        if k % 40 == 0:
+            estimator.command(k / 20, np.array([np.cos(angle), np.sin(angle)]), frequency)
+        seen = place + 5e-8 * complex(*random.normal(size=2))
+        found = estimator.update(
+            k / 20, np.array([0]), np.array([[seen.real, seen.imag]]), np.array([5e-8]))
+        place += gain * frequency * np.exp(1j * angle) / 20 + 9e-8 * complex(
+            *random.normal(size=2))
+    assert not any('follow the field' in one for one in found.diagnosis)
 
 
 def test_a_clock_set_back_starts_anew():

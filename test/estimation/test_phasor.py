@@ -46,3 +46,10 @@ def test_well_known_gains_have_gaussian_spreads():
     assert found.speed_std[0] == pytest.approx(1e-9, rel=1e-3)
     assert found.phi[0] == pytest.approx(np.pi / 2)
     assert found.phi_std[0] == pytest.approx(1e-9 / 4e-6, rel=1e-3)
+
+
+@pytest.mark.parametrize('sigmas', [50.0, 100.0, 1e4, 1e6, 1e9, 1e15])
+def test_a_speed_that_is_known_far_better_than_it_is_large_is_itself(sigmas):
+    found = polar(np.array([4e-6 + 0j]), np.array([4e-6 / sigmas]))
+    assert found.speed == pytest.approx(4e-6, rel=1e-3)
+    assert found.phi_std == pytest.approx(1 / sigmas, rel=1e-3)

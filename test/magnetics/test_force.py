@@ -66,6 +66,17 @@ def test_force_is_negligible_on_this_rig_up_to_where_it_is_not():
     assert (inside < 0.01 * particle.speed).all()
 
 
+def test_the_force_is_that_of_the_field_whatever_core_makes_it():
+    linear = CoilSettings()
+    curve = ((1.0, 0.9), (2.0, 1.6))
+    cored = linear.replaced(windings=tuple(
+        one.replaced(saturation=curve) for one in linear.windings))
+    at = np.array([[1e-3, 0.3e-3]])
+    found, expected = (
+        force_speed(CoilSet(coils), at, 3e-3, MagneticParticle()) for coils in (cored, linear))
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
 def test_force_grows_with_moment_and_field():
     coils = CoilSet()
     strong = MagneticParticle(magnetisation=3e3)

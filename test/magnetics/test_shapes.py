@@ -223,8 +223,10 @@ def test_arrays_that_are_no_map(arrays, complaint, tmp_path):
 
 def test_files_that_are_no_map(tmp_path):
     (tmp_path / 'map.npz').write_text('x')
+    (tmp_path / 'torn.npz').write_bytes(b'PK\x03\x04' + bytes(60))
     (tmp_path / 'map.txt').write_text('x')
-    for name, complaint in (('map.npz', 'expected an NPZ file'), ('none.npz', 'expected an NPZ'),
+    for name, complaint in (('map.npz', 'expected an NPZ file'),
+                            ('torn.npz', 'expected an NPZ file'), ('none.npz', 'expected an NPZ'),
                             ('none.csv', 'expected a readable CSV file'), ('map.txt', 'ending')):
         with pytest.raises(InputError, match=complaint):
             read_field_map(tmp_path / name)
@@ -244,9 +246,14 @@ def test_saturation_and_its_inverse_cancel_and_rise(steps, part):
     assert (np.diff(curve.driven(line)) > 0).all()
 
 
+def test_a_reading_just_beyond_a_saturation_goes_on_as_the_curve_ends():
+    curve = Saturation([(1.0, 1.0), (2.0, 1.5)])
+    assert curve.effective([2.001, -2.001]) == pytest.approx([1.5005, -1.5005], rel=1e-9)
+
+
 def test_beyond_a_saturation_nothing_is_known():
     curve = Saturation([(1.0, 1.0), (2.0, 1.5)])
-    for odd in (2.0001, -2.0001, np.nan, np.inf):
+    for odd in (2.05, -2.05, np.nan, np.inf):
         assert np.isnan(curve.effective(odd))
         assert np.isnan(curve.driven(odd))
 

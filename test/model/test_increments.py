@@ -112,6 +112,20 @@ def test_alignment_at_once_forgets_a_turned_heading_and_no_field_keeps_it():
     np.testing.assert_array_equal(felt.heading_sensitivity[:2], 0)
 
 
+@pytest.mark.parametrize('model', [MODELS['many'], Model(B, effects=(
+    AlignmentLag(0.3), SpeedDecay(20.0)))])
+def test_a_command_of_a_month_ago_is_as_one_of_a_minute_ago(model):
+    """And is not divided into millions of spans."""
+    month, minute = (Commands(
+        np.append(-begin, COMMANDS.t[3:]), np.vstack([[B, 0.0], COMMANDS.field[3:]]))
+        for begin in (3e6, 60.0))
+    long, short = (Timeline(commands, TIMES, np.zeros((len(TIMES), 3, 2)))
+                   for commands in (month, minute))
+    assert len(long.segments(model).t) == len(short.segments(model).t)
+    np.testing.assert_allclose(
+        respond(model, long).propulsion, respond(model, short).propulsion, rtol=1e-6)
+
+
 def test_a_heading_is_unknown_before_the_first_command():
     late = Commands(np.array([1.0]), np.array([[B, 0.0]]))
     timeline = Timeline(late, np.array([0.0, 0.5, 1.0, 1.5]))

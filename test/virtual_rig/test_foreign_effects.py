@@ -8,6 +8,8 @@ import pytest
 from microbot_ros.conformance import plain
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.first_order import simulate
+from microbot_ros.model.io.model_file import write_model
+from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.physics.particle import Fluid, rotational_drag
 from microbot_ros.virtual_rig.body import bodies
@@ -15,6 +17,8 @@ from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.foreign_effects import ForeignWorld, foreign_effects, make_world
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import Camera, record_session
+from microbot_ros.virtual_rig.scenario import read_scenario
+from microbot_ros.virtual_rig.simulation import run
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
 FIELD = 5e-3
@@ -136,3 +140,25 @@ def test_what_the_physics_knows_needs_no_hooks():
     assert type(make_world(swarm(), np.random.default_rng(0), given, FIELD)) is World
     with pytest.raises(ValueError, match=r'gravity.*unknown effect'):
         make_world(swarm(), np.random.default_rng(0), {'gravity': {'g': 1.0}}, FIELD)
+
+
+def test_terms_of_single_particles_are_of_their_ids(tmp_path):
+    """Factors 2 and ½ of particles that are called 3 and 7, in a simulated session."""
+    values = np.array([[1.0], [-0.5]])
+    term = LearnedTerm('particle', 'heading', 'speed', (np.array([3.0, 7.0]),), values,
+                       values - 0.1, values + 0.1, np.ones(2, bool))
+    write_model(tmp_path / 'model.yaml', Model(FIELD, learned=(term,)), ParticleParameters(
+        np.array([3, 7]), np.full(2, 4e-6), np.zeros(2)))
+    file = tmp_path / 'scenario.yaml'
+    file.write_text("""
+physics: langevin
+duration_s: 10
+radius_um: 2.3
+reference_field_mT: 5.0
+fluid: {viscosity_mPa_s: 1.0}
+camera: {frame_rate_hz: 20}
+model: model.yaml
+commands: {rows: [{t_s: 0, field_mT: 5, direction_deg: 0}]}
+""")
+    _, place = run(*read_scenario(file), 'scenario').tracks.grid()
+    assert (place[-1] - place[0])[:, 0] / 10 == pytest.approx([8e-6, 2e-6], abs=0.5e-6)

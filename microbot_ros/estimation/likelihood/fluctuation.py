@@ -135,6 +135,8 @@ def fit_fluctuation(fit: SessionFit, model: Model) -> SessionFit:
     session, known = fit.session, fit.whitening
     h, rolls = session.interval, model.propulsion == 'rolling'
     longest = min(LONGEST, PART * float(np.ptp(session.times)))
+    if longest <= SHORTEST * h or (known.fluctuation is None and longest <= min(STARTS)):
+        return fit
     total = known.noise_ratio + h / 3
     speed = float(np.abs(fit.moved).mean()) / h
     unit = max(speed, MOVES / h)

@@ -142,9 +142,12 @@ def _moments(c, std, half, i0, i1):  # type: ignore[no-untyped-def]
     for n in range(len(c)):
         y, width = 2 * half[n], max(std[n], 1e-30)
         speed[n] = width * math.sqrt(2 / math.pi) / i0[n]
-        # For large y the difference of squares cancels: the spread is `std` to 1 part in 4y.
+        # For large y the difference of squares cancels: the spread is `std` to 1 part in 4y. The
+        # speed must not follow from y, which is bounded.
         if y > 1e4:
-            spread[n], phase_std[n] = width, 1 / math.sqrt(2 * y)
+            size = abs(c[n])
+            speed[n] = size * (1 - (width / size) ** 2 / 2)
+            spread[n], phase_std[n] = width, width / size
         else:
             square = width**2 * (1 + y + y * i1[n] / i0[n])
             spread[n] = math.sqrt(max(square - speed[n] ** 2, 0.0))

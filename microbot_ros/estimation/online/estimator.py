@@ -101,7 +101,7 @@ class Estimator:
         self._shared: SharedKnowledge | None = None
         self._opening: list[_Frame] | None = []
         self._monitor = Monitor()
-        self._track_faults = TrackFaults()
+        self._track_faults = TrackFaults(model.propulsion)
         self._faults: tuple[str, ...] = ()
         self._restless: set[int] = set()
         self._held = HeldWatch(model.propulsion == 'rolling')
@@ -203,6 +203,7 @@ class Estimator:
         """
         if math.isfinite(t) and t < self._t - SET_BACK:
             self._start(self.model)
+            self._notes, self._jumps = {}, JumpNotes(NOTED)
             self._note('the clock of the frames was set back; the estimator starts anew')
         if not (math.isfinite(t) and t > self._t):
             self._note(f'a frame is stamped {t:.6g} s, not later than the one before: ignored')
@@ -278,9 +279,6 @@ class Estimator:
         step = self._propagator.advance(
             self._log, shared.delay.value, start, frame.t,
             Swarm(self._population.ids, bank.p[0], bank.velocity_phasor[0]))
-        ids = self._population.ids
-        both = (np.broadcast_to(part, len(ids)).tolist() for part in (step.path, step.drift))
-        self._moved = dict(zip(ids.tolist(), zip(*both, strict=True), strict=True))
         wander = (WANDER * np.abs(bank.velocity_phasor[0])) ** 2 * step.span
         # Where headings do not lag, their deviations are noise of the position.
         if (self.model.lags and self._rotational_diffusion > 0) or bank.s_var.any():
@@ -293,6 +291,9 @@ class Estimator:
             # The way is unknown, at most as long as that of the fastest: it says nothing about c.
             farthest = float(np.abs(bank.velocity_phasor[0]).max(initial=0.0)) * step.span
             path, diffused = 0 * path, diffused + farthest ** 2
+        ids = self._population.ids
+        both = (np.broadcast_to(part, len(ids)).tolist() for part in (path, step.drift))
+        self._moved = dict(zip(ids.tolist(), zip(*both, strict=True), strict=True))
         bank.predict(path, step.drift, diffused, wander)
         self._t = frame.t
         readings = self._population.take(

@@ -17,10 +17,11 @@ Choice: long enough for small errors of both, short enough for a timely sentence
 SURE = 40.0
 """Squared distance, χ² of two axes, above which c has changed: 2e-9 by chance."""
 
-IMMOBILE = 0.3e-6
-"""Speed [m/s] below which a swimmer does not follow the field.
+IMMOBILE = {'catalytic': 0.3e-6, 'rolling': 0.05e-6}
+"""Speed [m/s], and of rollers per frequency [m/s/Hz], below which a particle does not follow.
 
-Choice: a tenth of usual swimmers; a smaller value needs longer to be known.
+Choice: a tenth of usual ones; a smaller value needs longer to be known. A sphere of 1 µm radius
+would roll 6.3 µm in a turn, and slips by 90 %.
 """
 
 AHEAD, ANOTHER_CLOCK = 5.0, 86400.0
@@ -32,8 +33,15 @@ Choice: clocks of one rig agree to seconds; a command may be in force for a day.
 
 @dataclass
 class TrackFaults:
-    """Search, once a second, for tracks and clocks that cannot be right."""
+    """Search, once a second, for tracks and clocks that cannot be right.
 
+    Parameters
+    ----------
+    propulsion : str
+        'catalytic' or 'rolling'.
+    """
+
+    propulsion: str = 'catalytic'
     _past: list[State] = field(default_factory=list)
     _close: set[tuple[int, int]] = field(default_factory=set)
 
@@ -58,15 +66,17 @@ class TrackFaults:
         list of str
             Sentences.
         """
+        slow, rolls = IMMOBILE[self.propulsion], self.propulsion == 'rolling'
         told = _clock(now.t, last_command)
         told += self._changes(now)
         told += self._duplicates(now)
         if moving:
             told += [
-                f'particle {name} does not follow the field: stuck, or not a swimmer?'
+                f'particle {name} does not follow the field: stuck, or not a '
+                f'{"roller" if rolls else "swimmer"}?'
                 for name, c, std in zip(
                     now.ids, now.velocity_phasor, np.sqrt(now.phasor_var), strict=True)
-                if std < IMMOBILE and abs(c) < max(3 * std, IMMOBILE / 3)
+                if std < slow and abs(c) < max(3 * std, slow / 3)
             ]
         return told
 
@@ -77,9 +87,10 @@ class TrackFaults:
         spread = now.phasor_var[here] + then.phasor_var[there]
         after, before = now.velocity_phasor[here], then.velocity_phasor[there]
         moved = np.abs(after - before) ** 2 / spread > SURE
+        unit = 'µm/s/Hz' if self.propulsion == 'rolling' else 'µm/s'
         return [
             f'speed or angle of particle {name} changed within {now.t - then.t:.0f} s: '
-            f'{abs(old) * 1e6:.2f} → {abs(new) * 1e6:.2f} µm/s, turned by '
+            f'{abs(old) * 1e6:.2f} → {abs(new) * 1e6:.2f} {unit}, turned by '
             f'{np.degrees(np.angle(new * np.conj(old))):+.0f}°'
             for name, old, new in zip(common[moved], before[moved], after[moved], strict=True)
         ]
