@@ -328,7 +328,7 @@ class Considered:
 
 @dataclass(frozen=True)
 class Limit:
-    """Upper limit of a parameter of an effect that is not supported.
+    """Limit of a parameter of an effect that is not supported.
 
     Attributes
     ----------
@@ -336,13 +336,28 @@ class Limit:
         Id of the effect.
     parameter : Parameter
         The parameter.
-    upper_limit : float
-        95 % upper limit of its magnitude, SI; NaN where the data do not bound it.
+    limit : float
+        95 % limit of its magnitude, SI, beyond which the effect would be stronger: an upper one,
+        or a lower one of an inverse parameter, such as a time of decay. NaN where the data do not
+        bound it.
     """
 
     id: str
     parameter: Parameter
-    upper_limit: float
+    limit: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the limit as in `result.json`.
+
+        Returns
+        -------
+        dict of str to object
+            Effect, parameter, and its two limits, one of which is None.
+        """
+        edge = _edge(self.parameter.name, self.limit)
+        lower, upper = (edge, None) if self.parameter.inverse else (None, edge)
+        return {'id': self.id, 'parameter': self.parameter.name, 'upper_limit_95': upper,
+                'lower_limit_95': lower}
 
 
 @dataclass(frozen=True)
@@ -561,9 +576,7 @@ class Discovery:
             ],
             'learned': [one.as_json(self.gap.learned) for one in self.learned],
             'not_supported': [
-                {'id': limit.id, 'parameter': limit.parameter.name,
-                 'upper_limit_95': _edge(limit.parameter.name, limit.upper_limit)}
-                for limit in self.limits
+                limit.as_json() for limit in self.limits
             ],
             'baseline': {
                 'particles': {

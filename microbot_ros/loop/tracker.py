@@ -59,6 +59,7 @@ class TrackerStage:
 
     def __init__(self, parameters: TrackerParameters) -> None:
         warm_up()
+        warm_up(np.uint16)
         file = parameters.settings_file
         self._parameters = parameters
         self._wanted = read_yaml(file, TrackerSettings) if file else TrackerSettings()

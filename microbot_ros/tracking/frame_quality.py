@@ -60,7 +60,7 @@ class FrameQuality:
 
     def _see(self, image: np.ndarray) -> dict[str, str]:
         spacing = max(1, min(image.shape) // _SAMPLES)
-        sample = image[::spacing, ::spacing].ravel()
+        sample = image[::spacing, ::spacing].flatten()  # a copy: it is sorted in place
         middle = sample.size // 2
         sample.partition((0, middle, sample.size - 1))
         light, top = float(sample[middle]), np.iinfo(image.dtype).max

@@ -55,3 +55,6 @@ class TrackerSettings(Settings):
     def __post_init__(self) -> None:
         if self.colour is not None and not any(self.colour):
             raise SettingsError('expected a weight other than 0', 'colour')
+        names = [kind.name for kind in self.kinds]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise SettingsError(f'expected different names; received {twice[0]} twice', 'kinds')

@@ -20,6 +20,12 @@ from microbot_ros.tracking.refine.appearance import Appearance
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.teach.learn import learning
 
+LEAST_PX = 12
+"""Smallest side of a picture [px].
+
+Choice: four times the smallest diameter; the illumination cannot be told from less.
+"""
+
 
 class FrameError(InputError):
     """A frame that cannot be used: wrong size, encoding or time. The tracker is unchanged.
@@ -187,6 +193,7 @@ class Tracker:
         self._check(image, drive)
         image = np.ascontiguousarray(image)  # a view would compile everything again
         dt = self._interval(t)
+        self.size, self._dtype = image.shape, image.dtype
         if self.appearance is None:
             self.remarks = self._frame_quality.look(image, dt, 0.0)
             self._learn(image)
@@ -205,9 +212,10 @@ class Tracker:
         if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or image.size == 0:
             raise FrameError(
                 f'expected (H, W) grey uint8 or uint16; received {image.shape} {image.dtype}')
-        if self.size is None:
-            self.size, self._dtype = image.shape, image.dtype
-        if image.shape != self.size or image.dtype != self._dtype:
+        if min(image.shape) < LEAST_PX:
+            raise FrameError(f'expected at least {LEAST_PX}×{LEAST_PX} pixels; received '
+                             f'{image.shape[1]}×{image.shape[0]}')
+        if self.size is not None and (image.shape != self.size or image.dtype != self._dtype):
             raise FrameError(
                 f'expected {self.size[1]}×{self.size[0]} {self._dtype} as before; received '
                 f'{image.shape[1]}×{image.shape[0]} {image.dtype}')

@@ -58,6 +58,10 @@ def test_it_takes_over_no_link_to_a_device_and_empties_no_file_but_a_log(tmp_pat
     assert done.returncode == 2
     assert f'{log}: expected a new file' in done.stderr
     assert log.read_text() == 't_s,particle\n'
+    written = '{"t_monotonic_s": 2.0, "currents_A": [0.0], "cause": "reset"}\n'
+    log.write_text(written)
+    assert run('--link', tmp_path / 'nowhere' / 'link', '--log', log).returncode == 2
+    assert log.read_text() == written
     log.write_text('{"t_monotonic_s": 1.0, "currents_A": [0.0], "cause": "reset"}\n')
     with subprocess.Popen([*COMMAND, '--link', tmp_path / 'free', '--log', log],
                           stdout=subprocess.PIPE) as process:

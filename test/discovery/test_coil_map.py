@@ -119,3 +119,9 @@ def test_the_command_writes_coils_that_make_the_field_that_came(session, tmp_pat
         currents = np.linalg.pinv(before.actuation_matrix()[:2]) @ (wanted - before.background)
         came = after.actuation_matrix()[:2] @ currents + after.background
         assert came == pytest.approx(found.matrix @ wanted + found.offset, abs=1e-8)
+
+
+def test_commands_that_change_with_every_frame_leave_no_deviations_to_draw(film):
+    found = coil_map(film(1, COILS, duration=60.0, dwell=(0.04, 0.05))[0])
+    assert len(found.deviations.commanded) == 0
+    assert found.gain_ratio.value == pytest.approx(GAIN, abs=5 * found.gain_ratio.std)

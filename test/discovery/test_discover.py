@@ -27,7 +27,7 @@ def test_nothing_missing_is_consistent(consistent):
     assert consistent.unexplained == ()
     assert consistent.gap.before < consistent.gap.floor
     drift = [limit for limit in consistent.limits if limit.id == 'uniform_drift']
-    assert 0 < max(limit.upper_limit for limit in drift) < 1e-6
+    assert 0 < max(limit.limit for limit in drift) < 1e-6
 
 
 def test_named_with_parameters_and_the_gap_shrinks(film):

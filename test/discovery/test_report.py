@@ -102,8 +102,8 @@ def test_the_summary_says_in_two_sentences_what_moves_particles_and_what_to_do(d
     named = replace(found, gap=gap)
     left = tuple(replace(m, p_value=1e-6) for m in found.maps_after if m.against == 'position')
     nothing = replace(found, verdict='consistent', effects=())
-    bounded = tuple(replace(one, upper_limit=1e-6) for one in found.limits)
-    unbounded = tuple(replace(one, upper_limit=np.inf) if one.id == 'speed_decay' else one
+    bounded = tuple(replace(one, limit=1e-6) for one in found.limits)
+    unbounded = tuple(replace(one, limit=np.inf) if one.id == 'speed_decay' else one
                       for one in bounded)
     unnamed = replace(found, verdict='unnamed', unexplained=left, next_experiment=None)
     for case, first, second in (
@@ -318,3 +318,12 @@ def test_files_are_hashed_as_sha256sum_does(tmp_path):
     known = 'ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad'
     assert digests(folder) == [('run/tracks.csv', known)]
     assert digests(folder / 'tracks.csv') == [('tracks.csv', known)]
+
+
+@pytest.mark.parametrize(('effect', 'name', 'value', 'lower', 'upper'), [
+    ('uniform_drift', 'wx_um_s', 1.2e-7, None, 0.12), ('speed_decay', 'tau_s', 2590.0, 2590, None)])
+def test_a_limit_from_below_is_no_upper_limit(effect, name, value, lower, upper):
+    parameter = next(p for p in EFFECTS[effect].parameters() if p.name == name)
+    found = Limit(effect, parameter, value).as_json()
+    assert found == {'id': effect, 'parameter': name, 'lower_limit_95': pytest.approx(lower),
+                     'upper_limit_95': pytest.approx(upper)}

@@ -69,3 +69,10 @@ def test_the_tracker_tells_it_of_its_last_frame() -> None:
     assert list(tracker.remarks) == ['late']
     tracker.update(_frame(1.0, 21), 1.02)
     assert tracker.remarks == {}
+
+
+def test_a_small_picture_is_left_as_it_is() -> None:
+    picture = np.random.default_rng(0).integers(0, 255, (60, 200), np.uint8)
+    before = picture.copy()
+    FrameQuality().look(picture, None, 0.0)
+    np.testing.assert_array_equal(picture, before)

@@ -303,3 +303,31 @@ def test_what_is_rounder_than_its_example_is_not_odd_for_that() -> None:
     bodies = replace(_bodies(np.zeros((2, 2))), height=np.full(2, 64.0), width=np.full(2, 31.7),
                      edge=np.full(2, 2.1), length=np.array([1.018, 1.0]), halo=np.full(2, 0.06))
     assert kind.members(bodies, np.zeros(2, bool)).all()
+
+
+def test_what_is_unlike_one_of_two_kinds_of_opposite_sign_needs_no_name() -> None:
+    robot, bead = (60.0, 60.0), (60.0, 140.0)
+    image = _picture((robot, 5.0, -60.0), (bead, 5.0, 60.0), (_LARGE, 9.0, -60.0))
+    settings, _ = teacher.like(TrackerSettings(), image, *robot, 'robot')
+    settings, _ = teacher.like(settings, image, *bead, 'bead')
+    settings, said = teacher.unlike(settings, image, *_LARGE)
+    assert said.startswith('robot: not bodies')
+    with pytest.raises(InputError, match='nothing is visible there'):
+        teacher.unlike(settings, image, 280.0, 190.0)
+
+
+def test_where_nothing_is_taught_nothing_is_forgotten_or_unlike() -> None:
+    with pytest.raises(InputError, match='expected a taught kind'):
+        teacher.forget(TrackerSettings())
+    with pytest.raises(InputError, match='expected an example of robot first'):
+        teacher.unlike(TrackerSettings(kinds=(Kind(),)), _picture(*_SCENE), *_SMALL)
+
+
+@pytest.mark.parametrize(('content', 'problem'), [
+    ({'kinds': [{'name': 'a'}, {'name': 'a'}]}, 'different names; received a twice'),
+    ({'kinds': [{'name': 'a', 'width_px': [60, 3]}]}, 'the lower end first'),
+    ({'kinds': [{'name': 'a', 'width_px': [0, 3]}]}, 'widths above 0'),
+    ({'kinds': [{'name': 'a\n'}]}, 'name')])
+def test_kinds_that_cannot_be_are_refused(content: dict[str, object], problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        TrackerSettings.from_content(content)

@@ -190,3 +190,25 @@ def test_the_motion_of_swimmers_and_of_brownian_spheres_is_learned() -> None:
             motion.learn(steps[:, t], steps[:, t - 1], np.full(500, sigma))
         assert motion.velocity_step == pytest.approx(speed**2, rel=0.15, abs=0.1)
         assert motion.random_step == pytest.approx(jitter**2, rel=0.3, abs=0.35)
+
+
+@pytest.mark.parametrize('shape', [(12, 300), (20, 20), (300, 12)])
+def test_small_pictures_have_no_particles(shape: tuple[int, int]) -> None:
+    tracker, random = Tracker(TrackerSettings(learning_frames=3)), np.random.default_rng(0)
+    for k in range(12):
+        found = tracker.update(random.normal(150, 1, shape).astype(np.uint8), 0.1 * k)
+        assert len(found) == 0
+
+
+@pytest.mark.parametrize('shape', [(1, 100), (11, 300), (300, 4)])
+def test_pictures_that_are_too_small_are_refused(shape: tuple[int, int]) -> None:
+    with pytest.raises(FrameError, match='at least 12×12 pixels'):
+        Tracker(TrackerSettings()).update(np.full(shape, 150, np.uint8), 0.0)
+
+
+def test_a_first_frame_that_is_refused_sets_no_size(still: list[np.ndarray]) -> None:
+    tracker = Tracker(ROUND)
+    with pytest.raises(FrameError, match='finite time stamp'):
+        tracker.update(np.full((100, 100), 150, np.uint8), math.nan)
+    tracker.update(still[0], 0.0)
+    assert tracker.size == still[0].shape

@@ -243,5 +243,5 @@ def _deviations(fit: ModelFit) -> Deviations:
     filled = [b for b in range(_BINS) if power[bins == b].sum() > 0]
     rows = [(np.angle(np.exp(1j * angle[bins == b]).sum()), np.angle(along[bins == b].sum()),
              np.sqrt(2 * p.diffusion / power[bins == b].sum())) for b in filled]
-    commanded, deviation, std = np.array(rows).T
+    commanded, deviation, std = np.array(rows).reshape(-1, 3).T
     return Deviations(commanded, deviation, std)

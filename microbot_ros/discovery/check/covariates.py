@@ -170,7 +170,7 @@ class Covariates:
     def _strength_and_frequency(self) -> Iterator[Group]:
         commands = self.session.commands
         strength = np.hypot(*commands.field_at(self.middle[:, 0]).T)
-        if np.ptp(strength[strength > 0]) > 1e-3 * strength.max():
+        if strength.any() and np.ptp(strength[strength > 0]) > 1e-3 * strength.max():
             yield self._group(
                 'field strength', 'field [mT]', _bins(strength),
                 self.body, strength[:, None] * 1e3)

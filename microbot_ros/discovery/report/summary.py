@@ -54,7 +54,7 @@ def _described(effect: NamedEffect) -> str:
 def _consistent(found: Discovery) -> str:
     hints = [e.id for e in found.effects]
     hint = f', apart from a weak sign of {listed(hints)}' if hints else ''
-    bounded = {one.id for one in found.limits if np.isfinite(one.upper_limit)}
+    bounded = {one.id for one in found.limits if np.isfinite(one.limit)}
     unseen = list(dict.fromkeys(one.id for one in found.limits if one.id not in bounded))
     if unseen:
         then = (f'It could not have shown {listed(unseen)}: {_LIMITS} names the commands that '

@@ -199,10 +199,10 @@ def limit(found: Limit) -> str:
         As `up to 0.1 µm/s` or `900 s or longer`.
     """
     parameter, unit = found.parameter, symbol(found.parameter.name)
-    if not np.isfinite(found.upper_limit):
+    if not np.isfinite(found.limit):
         return 'not bounded by these data'
     null_value = float(parameter.display_units(parameter.null_value))
-    value = float(parameter.display_units(found.upper_limit))
+    value = float(parameter.display_units(found.limit))
     if parameter.inverse:
         return f'{number(value)} {unit} or longer'
     if null_value:

@@ -89,7 +89,7 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
     started = time.monotonic()
     planned = Faults([parse(text, started) for text in faults if text != '-'])
     with Ending(launcher=find_launcher()) as ending, ExitStack() as stack:
-        diary = stack.enter_context(_Diary(stack.enter_context(_open_log(log))))
+        diary = stack.enter_context(_Diary())
         coils = Coils(full_scale_A, watchdog_s, cast(TextIO, diary),
                       channels=channels)
         device = make_device(protocol, coils)
@@ -97,6 +97,7 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
         for path in links(link, device.ports):
             lines.append(Line(path))
             stack.callback(lines[-1].unplug)
+        diary.begin(_open_log(log))  # an earlier log stays where no line can be made
         stack.callback(coils.zero, 'power_off')
         # A real board is not delayed by other programs of this machine.
         set_realtime_priority_of_all(SAFETY)
@@ -108,10 +109,14 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
 class _Diary(TextIOBase):
     """Log whose lines a thread writes, in order: a board must not wait for a busy disk."""
 
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
+    def __init__(self) -> None:
         self._lines: SimpleQueue[str | None] = SimpleQueue()
-        self._thread = threading.Thread(target=self._write_down, name='log', daemon=True)
+        self._thread: threading.Thread | None = None
+
+    def begin(self, file: TextIO) -> None:
+        """Write everything to a file, which is closed at the end."""
+        self._thread = threading.Thread(
+            target=self._write_down, args=(file,), name='log', daemon=True)
         self._thread.start()
 
     def write(self, line: str) -> int:
@@ -120,13 +125,15 @@ class _Diary(TextIOBase):
 
     def close(self) -> None:
         self._lines.put(None)
-        self._thread.join()
+        if self._thread is not None:
+            self._thread.join()
         super().close()
 
-    def _write_down(self) -> None:
-        for line in iter(self._lines.get, None):
-            self._file.write(line)
-            self._file.flush()
+    def _write_down(self, file: TextIO) -> None:
+        with file:
+            for line in iter(self._lines.get, None):
+                file.write(line)
+                file.flush()
 
 
 def _open_log(log: Path | None) -> TextIO:

@@ -107,7 +107,7 @@ def contrast(image: np.ndarray, shrink: int, widest_px: float, dark: bool) -> np
     import cv2
 
     small = block_mean(image, shrink)
-    coarse = max(1, int(widest_px * _LIGHT / shrink / 16))
+    coarse = max(1, min(int(widest_px * _LIGHT / shrink / 16), *small.shape))
     cells = block_mean(small, coarse)
     # OpenCV's large medians need bytes, which resolve the illumination well enough.
     low, high = float(cells.min()), max(float(cells.max()), float(cells.min()) + 1.0)

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from microbot_ros.common.checked import Field, Settings
+from microbot_ros.common.checked import Field, Settings, SettingsError
 from microbot_ros.common.errors import InputError
 from microbot_ros.tracking.locate.bodies import Bodies
 
@@ -46,7 +46,7 @@ Range = tuple[float, float]
 class Kind(Settings):
     """One kind of body: ranges of its traits, and the examples they come from."""
 
-    name: str = Field(default='robot', pattern=r'^[A-Za-z][\w-]{0,31}$',
+    name: str = Field(default='robot', pattern=r'^[A-Za-z][\w-]{0,31}\Z',
                       description='name in the column `kind`')
     contrast: Literal['dark', 'bright'] = Field(
         default='dark', description='whether it is darker or brighter than the light around it')
@@ -68,6 +68,16 @@ class Kind(Settings):
     like: tuple[Traits, ...] = Field(
         default=(), description='traits of the examples, in the order above')
     unlike: tuple[Traits, ...] = Field(default=(), description='traits of the counter-examples')
+
+    def __post_init__(self) -> None:
+        for trait in TRAITS:
+            low, high = getattr(self, trait)
+            if not low <= high:
+                raise SettingsError(f'expected the lower end first; received {low:g}, {high:g}',
+                                    trait)
+        if not self.width_px[0] > 0:
+            raise SettingsError(f'expected widths above 0; received {self.width_px[0]:g}',
+                                'width_px')
 
     @property
     def dark(self) -> bool:

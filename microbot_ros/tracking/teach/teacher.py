@@ -173,17 +173,28 @@ def unlike(
         raise InputError('unlike', f'expected a known kind; received {name}')
     if not settings.kinds:
         raise InputError('unlike', 'expected an example first (like): nothing is known yet')
-    changed, said = settings, []
+    changed, said = settings, list[str]()
+    unseen: list[InputError] = []
     for kind in settings.kinds:
         if name not in (None, kind.name):
             continue
-        meant = _meant('unlike', image, x, y, kind)
+        if not kind.like:
+            raise InputError('unlike', f'expected an example of {kind.name} first (like)')
+        try:
+            meant = _meant('unlike', image, x, y, kind)
+        except (NothingError, TwoError) as error:
+            if name is not None:
+                raise
+            unseen.append(error)
+            continue
         if not kind.members(meant.body, np.zeros(1, bool)).any() and name is None:
             continue
         learned = _learn(kind, image, kind.like, [*kind.unlike, *_traits(meant.body)])
         changed = _with(changed, learned)
         said.append(f'{kind.name}: not bodies {meant.body.width[0]:.0f} px wide and '
                     f'{meant.body.height[0]:.0f} grey levels {_word(kind)}')
+    if len(unseen) == len(settings.kinds):
+        raise unseen[-1]
     return changed, '; '.join(said) or 'it was not detected as any kind before: nothing to change'
 
 
@@ -204,6 +215,8 @@ def forget(settings: TrackerSettings, name: str | None = None) -> tuple[TrackerS
     """
     if name is not None and name not in {kind.name for kind in settings.kinds}:
         raise InputError('forget', f'expected a known kind; received {name}')
+    if not settings.kinds:
+        raise InputError('forget', 'expected a taught kind: none is known')
     left = tuple(kind for kind in settings.kinds if name is not None and kind.name != name)
     places = settings.standing if left else ()
     return (settings.replaced(kinds=left, standing=places),

@@ -86,7 +86,8 @@ class Bridges(Device):
         end = request.address + max(request.count, 1)
         if isinstance(request, ReadHoldingRegistersRequest) and end <= _REGISTERS:
             current = self.coils.currents_A[request.dev_id - 1]
-            values[codec.CURRENT_MA] = round(current * 1e3) & 0xFFFF
+            shown = min(max(round(current * 1e3), -0x8000), 0x7FFF)  # what the register holds
+            values[codec.CURRENT_MA] = shown & 0xFFFF
             for register in codec.TEMPERATURES:
                 values[register] = _HOT if self.hot else _COOL
             return ReadHoldingRegistersResponse(registers=values[request.address:end])

@@ -73,7 +73,8 @@ class Controllers(Device):
             return (_HOT if self.hot else _COOL).to_bytes(2, 'big')
         first = _first_coil(address)
         both = (*self.coils.currents_A, 0.0)[first:first + 2]
-        return struct.pack('>hh', *(round(current / codec.CURRENT_STEP_A) for current in both))
+        return struct.pack('>hh', *(
+            min(max(round(current / codec.CURRENT_STEP_A), -0x8000), 0x7FFF) for current in both))
 
     def _obey(self, address: int, command: int, data: bytes) -> None:
         if command == codec.SET_TIMEOUT:

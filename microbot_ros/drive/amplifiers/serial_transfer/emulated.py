@@ -73,7 +73,7 @@ class Board(Device):
     def speak(self, now_s: float) -> bytes:
         if self._turning is not None:
             self._tick_s = now_s + _TICK_S
-            if math.isinf(self.coils.due_s()):
+            if self.coils.watchdog_s is not None and math.isinf(self.coils.due_s()):
                 self._turning = None  # the watchdog has ended it
             else:
                 self._set(self._turned(self._turning, now_s), feeds=False)
