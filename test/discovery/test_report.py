@@ -321,7 +321,8 @@ def test_files_are_hashed_as_sha256sum_does(tmp_path):
 
 
 @pytest.mark.parametrize(('effect', 'name', 'value', 'lower', 'upper'), [
-    ('uniform_drift', 'wx_um_s', 1.2e-7, None, 0.12), ('speed_decay', 'tau_s', 2590.0, 2590, None)])
+    ('uniform_drift', 'wx_um_s', 1.2e-7, None, 0.12),
+    ('speed_decay', 'tau_s', 2590.0, 2590, None)])
 def test_a_limit_from_below_is_no_upper_limit(effect, name, value, lower, upper):
     parameter = next(p for p in EFFECTS[effect].parameters() if p.name == name)
     found = Limit(effect, parameter, value).as_json()
