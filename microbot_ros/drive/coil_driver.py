@@ -351,6 +351,8 @@ class CoilDriver:
                 self.gate.trip(*fault)
             try:
                 self._write()
+            except AmplifierError as error:
+                self._lose(error)  # before the answer, which is then of the loss
             finally:
                 done.set()
         self._request(revoke)
@@ -517,7 +519,8 @@ class CoilDriver:
     def _patience_s(self) -> float:
         if not self._rotation.turns or self._swinging:
             return _TICK_S
-        return max(self._sent_s + self.amplifier.sample_s - self._clock.now(), 0.0)
+        wait_s = self._sent_s + self.amplifier.sample_s - self._clock.now()
+        return min(max(wait_s, 0.0), _TICK_S)
 
     def _obey(self, order: _Order | None, now: float) -> None:
         """Pass the last order to the gate if due: currents once, a rotation by samples."""
@@ -567,11 +570,12 @@ class CoilDriver:
         self._swinging = swing is not None
         self._look_for_lapse(self._clock.now())
         self._sent, self._sent_s = self.gate.output, self._clock.now()
+        flows = any(self._sent) or swing is not None
+        if flows:  # from the first byte on
+            self._zero_since_s = None
         sent = self.amplifier.write(self._sent, tag, swing)
         self.gate.sent(self._clock.now())
-        if any(self._sent) or swing is not None:
-            self._zero_since_s = None
-        elif self._zero_since_s is None:
+        if not flows and self._zero_since_s is None:
             self._zero_since_s = sent.t_monotonic_s
         if tag is not None:
             self._on_sent(sent)
@@ -640,7 +644,7 @@ class CoilDriver:
         self.gate.command(check.wanted, now)
         if check.done:
             self.gains, self.watchdog_s = check.gains, check.watchdog_s
-            self._answer_arming(None)
+            self._answer_arming(None if self.gate.armed else self._refusal())
 
     def _answer_arming(self, refusal: str | None) -> None:
         if self._arming is not None:
@@ -692,6 +696,7 @@ class CoilDriver:
     def _disconnect(self) -> None:
         if not self.connected:
             return
+        self._left = Zero.UNREACHABLE  # until closing has shown more
         self.connected = False
         self._left = self.amplifier.close()
         if self._last_resort is not None:

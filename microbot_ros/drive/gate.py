@@ -471,7 +471,7 @@ class Gate:
 
     def _put(self, currents: Currents) -> Currents:
         self._allowance = tuple(max(left, 0.0) for left in self._allowance_after(currents))
-        if currents != self.output:
+        if self._feedback and currents != self.output:  # readings are judged by them, and end them
             self._replaced.append((self._now_s, self.output))
             self._unsent += 1
         self.output = currents

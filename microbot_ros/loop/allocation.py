@@ -135,7 +135,8 @@ class AllocationStage:
         # Amplitude of the current of each coil: the length of its row perpendicular to the axis.
         across = per_direction - np.outer(per_direction @ axis, axis)
         largest = np.linalg.norm(across, axis=1)
-        room = np.maximum(self.coils.reach - np.abs(steady), 0.0)
+        # A little less than what the gate allows: sums round.
+        room = np.maximum((1 - 1e-9) * self.coils.reach - np.abs(steady), 0.0)
         share = np.min(np.divide(room, largest, where=largest > room, out=np.ones_like(room)))
         start = (field - along) / (strength or 1.0)
         return Turning(steady, share * per_direction, axis, rate, start, self.coils.driven)

@@ -3,7 +3,9 @@
 import errno
 import math
 import threading
+from concurrent.futures import Future
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -1076,3 +1078,54 @@ def test_a_board_that_turns_is_stopped_as_soon_as_a_fault_comes(swinging):
     assert rig.driver._sent == ZERO
     assert not rig.driver._swinging
     assert not swings[-1]
+
+
+def test_a_stop_on_a_line_that_is_lost_is_answered_by_the_loss(rig, monkeypatch):
+    """Not by how an earlier loss ended."""
+    rig.drive()
+    rig.driver._left = Zero.SENT
+    amplifier, seen = rig.driver.amplifier, []
+    close = amplifier.close
+
+    def lost(*_):
+        raise NoAnswerError('line', 'no byte could be written')
+
+    def closing():
+        seen.append((rig.driver.zero, done.is_set()))
+        return close()
+    monkeypatch.setattr(amplifier, 'write', lost)
+    monkeypatch.setattr(amplifier, 'close', closing)
+    done = rig.driver.request_zero()
+    rig.until(done.is_set, SOON_S)
+    assert seen == [(Zero.UNREACHABLE, False)]
+    assert not rig.driver.connected
+
+
+def test_no_zero_is_told_while_a_current_is_being_written(rig, monkeypatch):
+    amplifier, told = rig.driver.amplifier, []
+    write = amplifier.write
+
+    def slowly(currents, *others):
+        if any(currents):
+            told.append(rig.driver.zero)
+        return write(currents, *others)
+    monkeypatch.setattr(amplifier, 'write', slowly)
+    rig.drive()
+    assert set(told) == {None}
+
+
+def test_a_stop_in_the_turn_that_ends_the_check_refuses_arming(rig):
+    answer = rig.driver._arming = Future()
+    rig.driver._go_on_checking(
+        SimpleNamespace(wanted=ZERO, done=True, gains=(1.0,) * 4, watchdog_s=None), 0.0)
+    assert answer.result(0) == 'disarmed meanwhile'
+
+
+def test_between_samples_of_a_slow_line_the_driver_looks_as_often_as_ever(rig):
+    driver = rig.driver
+    driver.amplifier.sample_s = 0.07
+    driver._rotation.follow(
+        Turning(np.zeros(4), np.ones((4, 3)), np.array([0, 0, 1.0]), 1.0, np.array([1.0, 0, 0])),
+        0.0, np.zeros(4))
+    driver._sent_s = rig.clock.now()
+    assert 0 < driver._patience_s() <= 0.005

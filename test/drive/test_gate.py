@@ -760,3 +760,13 @@ def test_what_a_lapse_explains_measures_nothing():
         gate.measured(only(0, 0.5), now)
     assert tripped(gate, Reason.SILENCE)
     assert 0.25 < now < 0.375
+
+
+def test_without_readings_nothing_is_kept_for_them():
+    gate = Gate(LIMITS, 4, feedback=False)
+    assert gate.arm(0.0) is None
+    for k in range(1, 500):
+        gate.command((math.cos(k / 48), math.sin(k / 48), 0.0, 0.0), k / 48)
+        gate.sent(k / 48)
+    assert gate.armed
+    assert not gate._replaced

@@ -74,3 +74,17 @@ def test_what_is_not_finite_is_no_current_at_all(six, bad, place):
     assert np.isnan(six.step(wrong)).all()
     for turning in (six.turn(wrong, right), six.turn(right * 1e-4, wrong * 1e3)):
         assert np.isnan(turning.at(turning.start)).all()
+
+
+def test_a_board_may_turn_the_largest_field_by_itself():
+    """Rounding must not carry the largest current beyond the limit of the gate."""
+    values = GateParameters()
+    stage = AllocationStage(values)
+    for strength in np.linspace(8e-3, 20e-3, 50):
+        rotation = Rotation(values.slew_limit_A_per_s)
+        rotation.follow(stage.turn(np.array([strength, 0, 0]), np.array([0, 0, 6 * math.pi])),
+                        0.0, np.zeros(4))
+        for k in range(1, 40):
+            rotation.currents(1e-3 * k)
+        assert rotation.settled
+        assert (rotation.swing().largest <= values.current_limit_A).all()
