@@ -22,7 +22,7 @@ from typing import Any
 
 from microbot_ros.archive.labels import Labels
 from microbot_ros.archive.recordings import LABELS, MARK, FileCards, Found, Kind, Refused
-from microbot_ros.archive.work import SESSIONS, result_file
+from microbot_ros.archive.work import SESSIONS, read_result, result_file
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import write_text
 
@@ -166,12 +166,7 @@ class Archive:
         dict of str to object or None
             The result; None if there is none.
         """
-        try:
-            content = result_file(self.folder, key).read_text(encoding='utf-8')
-        except FileNotFoundError:
-            return None
-        found: dict[str, Any] = json.loads(content)
-        return found
+        return read_result(result_file(self.folder, key))
 
     def results(self, task: str) -> dict[str, dict[str, Any]]:
         """Return the results of a task, one for each content.

@@ -121,6 +121,27 @@ def result_file(archive: Path, key: str) -> Path:
     return archive / MARK / key.split('-')[-1][:2] / f'{key}.json'
 
 
+def read_result(path: Path) -> dict[str, Any] | None:
+    """Return a result.
+
+    Parameters
+    ----------
+    path : Path
+        Its file.
+
+    Returns
+    -------
+    dict of str to object or None
+        The result; None if there is none, or if the file is damaged, as by a power failure: the
+        job is then done again.
+    """
+    try:
+        found = json.loads(path.read_text(encoding='utf-8'))
+    except (FileNotFoundError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
 def do(job: Job) -> str:
     """Run a job, unless it is done.
 
@@ -177,10 +198,10 @@ def is_done(job: Job) -> bool:
     bool
         Whether it is done.
     """
-    if not job.result.exists():
+    result = read_result(job.result)
+    if result is None:
         return False
-    if (job.task not in _MAKE_SESSIONS
-            or 'session' not in json.loads(job.result.read_text(encoding='utf-8'))):
+    if job.task not in _MAKE_SESSIONS or 'session' not in result:
         return True
     mark = made_session(job) / _MADE_BY
     return mark.is_file() and mark.read_text(encoding='utf-8') == job.key

@@ -164,12 +164,12 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
 
     if workers is not None and scheduler is not None:
         raise click.UsageError('expected either --workers or --scheduler')
-    with _Shown(Console(stderr=True, highlight=False, soft_wrap=True)) as shown:
+    with _Shown(Console(stderr=True, highlight=False, soft_wrap=True, markup=False)) as shown:
         summary, found = run_batch(task, folders, out, settings, workers, scheduler, shown.report)
     for line in _told(summary):
         shown.console.print(line, markup=False)
     write_json(json_path, dataclasses.asdict(summary) | found)
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, markup=False)
     own = {'import': lambda: _assumed(found['imported']),
            'track': lambda: _beside_tables(found['films'])}.get(task, list)
     for line in [*own(), *found['sentences']]:

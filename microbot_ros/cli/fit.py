@@ -40,7 +40,7 @@ def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None
     from microbot_ros.session import read_session
 
     refuse_to_overwrite(out, ('fit.json', 'fit.png'), force)
-    progress = Console(stderr=True, highlight=False)
+    progress = Console(stderr=True, highlight=False, markup=False)
     with progress.status(escape(f'reading {session}')):
         recording = read_session(session)
     with progress.status(f'fitting {len(recording.tracks.particles)} particles'):
@@ -50,7 +50,7 @@ def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None
         write_json(folder / 'fit.json', content)
         report.figure(result, folder / 'fit.png')
     write_json(json_path, content)
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     console.print(report.table(result))
     noise = result.noise
     console.print(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from microbot_ros.cli.options import NEW_FOLDER, json_option
+from microbot_ros.cli.options import NEW_FOLDER, force_option, json_option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,8 +21,10 @@ if TYPE_CHECKING:
                    'numbers.')
 @click.option('--seed', type=click.IntRange(min=0), default=1, show_default=True,
               help='Seed of the first repetition; the others use the following seeds.')
+@force_option
 @json_option('Write the summary as JSON to this file.')
-def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> None:
+def command(out: Path, repetitions: int, seed: int, force: bool,
+            json_path: Path | None) -> None:
     """Repeat the paper's three-particle experiment in simulation and compare.
 
     The paper's recording is not available, so the rig is this project's Langevin simulation. Both
@@ -36,12 +38,19 @@ def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> N
     from rich.console import Console
     from rich.progress import track
 
-    from microbot_ros.common.files import output_folder, write_json, write_text
+    from microbot_ros.common.files import (
+        output_folder,
+        refuse_to_overwrite,
+        write_json,
+        write_text,
+    )
     from microbot_ros.paper.repetition import attempt, run_times
     from microbot_ros.paper.report import draw_errors, draw_trajectories, page, png
     from microbot_ros.paper.summary import summarise
 
-    progress = Console(stderr=True)
+    outputs = ('report.html', 'summary.json', 'trajectories.png', 'errors.png')
+    refuse_to_overwrite(out, outputs, force)
+    progress = Console(stderr=True, markup=False)
     seeds = range(seed, seed + repetitions)
     with output_folder(out) as folder:
         trials = [attempt(s) for s in track(seeds, 'repeating the experiment', console=progress)]
@@ -52,7 +61,7 @@ def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> N
         (folder / 'trajectories.png').write_bytes(trajectories)
         (folder / 'errors.png').write_bytes(errors)
     write_json(json_path, summary)
-    _show(Console(highlight=False), summary)
+    _show(Console(highlight=False, markup=False), summary)
     progress.print(f'report: {out / "report.html"}')
 
 

@@ -47,7 +47,7 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool)
     scenario, particles = read_scenario(scenario_yaml)
     outputs = *FILES, 'truth.yaml'
     refuse_to_overwrite(out, outputs, force)
-    console = Console(stderr=True, highlight=False)
+    console = Console(stderr=True, highlight=False, markup=False)
     with console.status(f'{scenario.physics}: {scenario.duration_s:g} s of '
                         f'{len(particles.ids)} particles'):
         session = run(scenario, particles, str(scenario_yaml))

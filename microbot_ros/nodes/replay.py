@@ -485,7 +485,7 @@ class Replay:
     def __init__(self, session: Path, out: Path, plan: ReplayPlan,
                  parameters: Mapping[str, Mapping[str, Any]], end_s: float = 0.0) -> None:
         if not 0 <= end_s < math.inf:
-            raise InputError(session, f'end_s must be finite; received {end_s:g}')
+            raise InputError('--end', f'expected a time of 0 s or later; received {end_s:g}')
         self.plan = plan
         self._session, self._out, self._end_s = session, out, end_s
         self._parameters = parameters

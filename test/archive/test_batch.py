@@ -361,3 +361,12 @@ def test_a_night_without_a_terminal_tells_how_far_it_is_once_a_minute():
     seconds[0] += 1e3
     on_screen.report(batch.Progress('discover', 1, 2, 1.0))
     assert screen.getvalue() == ''
+
+
+def test_a_result_that_is_damaged_is_made_again(laboratory, tmp_path):
+    run('fit', laboratory, tmp_path / 'out')
+    damaged = sorted((tmp_path / 'out').rglob('fit-*.json'))[:2]
+    damaged[0].write_text('')
+    damaged[1].write_text('{"particles": [')
+    summary, found = run('fit', laboratory, tmp_path / 'out')
+    assert (summary.done, summary.kept, found['sessions']) == (2, 4, 6)

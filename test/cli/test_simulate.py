@@ -272,3 +272,13 @@ def test_a_model_for_other_particles_is_refused(tmp_path):
         *(np.empty(0, kind) for kind in (int, float, float))))
     with pytest.raises(InputError, match='expected particles to simulate, found none'):
         run(tmp_path, scenario)
+
+
+@pytest.mark.parametrize('name', ['run[a]x', 'r[', 'bold[red]'])
+def test_a_folder_may_have_any_name(tmp_path, name):
+    (tmp_path / 'scenario.yaml').write_text(yaml.safe_dump(PLAIN))
+    done = CliRunner().invoke(microbot, [
+        'simulate', str(tmp_path / 'scenario.yaml'), '--out', str(tmp_path / name)],
+        catch_exceptions=False)
+    assert done.exit_code == 0
+    assert name in done.output.replace('\n', '')

@@ -8,6 +8,7 @@ import threading
 import time
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 
@@ -24,6 +25,7 @@ from microbot_ros.cockpit.connections import BriefConnection
 from microbot_ros.cockpit.recordings import Recordings
 from microbot_ros.common.errors import InputError
 from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.tracking.overlay import OverlayVideo
 
 FRAMES = 40
 
@@ -114,6 +116,17 @@ def test_a_film_shows_each_frame_with_its_particle(folder: Path, tmp_path: Path)
     rows, columns = colour.nonzero()
     assert 10 < columns.mean() - 30 < 20
     assert 25 < rows.mean() < 45
+
+
+def test_a_film_that_fails_leaves_the_earlier_one(
+        folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / 'new' / 'film.mp4'
+    path.parent.mkdir()
+    path.write_bytes(b'an earlier film')
+    monkeypatch.setattr(OverlayVideo, 'write', mock.Mock(side_effect=KeyboardInterrupt))
+    CliRunner().invoke(cli.microbot, ['replay', str(folder / 'batch'), '--film', str(path)])
+    assert [one.name for one in path.parent.iterdir()] == ['film.mp4']
+    assert path.read_bytes() == b'an earlier film'
 
 
 def test_without_frames_the_particles_are_drawn_and_without_both_nothing(

@@ -108,6 +108,9 @@ def test_command_writes_a_section_that_predicts_the_readings(tmp_path):
     summary = json.loads((tmp_path / 'result.json').read_text())
     assert [summary['coils'][name]['sign'] for name in NAMES] == [1, 1, -1, 1]
 
+    with pytest.raises(InputError, match=r'without coils\.yaml.*--force replaces'):
+        run(path, '--out', out)
+
     # What the file says already does not change what the readings say.
     again = run(path, '--out', tmp_path / 'again', '--config', out / 'coils.yaml')
     assert again.exit_code == 0
@@ -186,14 +189,14 @@ def test_it_starts_from_the_coils_that_a_rig_names_and_says_so(tmp_path):
     for content in (known, {'coils': known}):  # as it is written, and without the key
         coils.write_text(yaml.safe_dump(content))
         for config, named in ((rig, f', named in {rig}'), (coils, '')):
-            found = run(readings, '--config', config, '--out', tmp_path / 'out')
+            found = run(readings, '--config', config, '--out', tmp_path / 'out', '--force')
             assert f'started from the coils of {coils}{named}\n' in found.stdout
             section = yaml.safe_load((tmp_path / 'out' / 'coils.yaml').read_text())['coils']
             assert [winding['turns'] for winding in section['windings']] == [500, 400, 400, 400]
     assert 'started from the coils of the default rig\n' in run(
-        readings, '--out', tmp_path / 'out').stdout
+        readings, '--out', tmp_path / 'out', '--force').stdout
     rig.write_text('coil_driver:\n  ros__parameters:\n    port: /dev/ttyACM0\n')
-    said = run(readings, '--config', rig, '--out', tmp_path / 'out').stdout
+    said = run(readings, '--config', rig, '--out', tmp_path / 'out', '--force').stdout
     assert f'started from the coils of the default rig: {rig} names no coils_file\n' in said
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.client.graph_client import GraphClient
+from microbot_ros.nodes.client.rig_client import RigClient
 from microbot_ros.session.mcap.recording import Recording
 
 
@@ -227,3 +229,8 @@ def test_disarming_tells_what_the_driver_answered(
         assert (status, out) == (1, '')
         assert error.startswith(f'microbot: coil_driver: {words}')
         assert len(error.splitlines()) == 1
+
+
+def test_a_parameter_may_have_any_name() -> None:
+    for name in ('node', 'self'):
+        assert inspect.isgenerator(RigClient.set(cast(Any, None), 'controller', **{name: 5}))

@@ -162,7 +162,7 @@ def test_what_a_change_does_is_shown_at_the_first_point(tmp_path: Path) -> None:
     ([STEERING, '--node', 'model'], 'expected only with --check'),
     ([TRACKING, '--check', '--node', 'controller'], 'expected model/state as input of the con'),
     ([STEERING, '--check', '--config', '/nowhere.yaml'], '/nowhere.yaml: expected'),
-    ([STEERING, '--check', '--end', 'nan'], 'end_s must be finite; received nan'),
+    ([STEERING, '--check', '--end', 'nan'], '--end: expected a time of 0 s or later; received nan'),
     ([STEERING, '--check', '--node', 'steam'], "'steam' is not one of"),
     (['FOLDER', '--rate', '101'], 'rate: expected 0.1 to 100, or inf; received 101'),
     (['FOLDER', '--rate', 'nan'], 'rate: expected 0.1 to 100, or inf; received nan'),

@@ -10,9 +10,11 @@ from typing import Any
 import click
 
 from microbot_ros.cli.calibrate.camera import camera
-from microbot_ros.cli.options import NEW_FOLDER, PATH, json_option
+from microbot_ros.cli.options import NEW_FOLDER, PATH, force_option, json_option
 from microbot_ros.common.checked import Settings
 from microbot_ros.magnetics.settings import CoilSettings
+
+_OUTPUTS = ('coils.yaml', 'calibration.json', 'calibration.png')
 
 
 class _Section(Settings, others=True):
@@ -51,8 +53,10 @@ command.add_command(camera)
 @click.option('--config', type=PATH,
               help="Coils to start from: a coils.yaml, or the rig's file that names one in "
                    'coil_driver.coils_file. Default: the coils of the default rig.')
+@force_option
 @json_option('Write the result as JSON to this file.')
-def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) -> None:
+def coils(source: Path, out: Path, config: Path | None, force: bool,
+          json_path: Path | None) -> None:
     """Fit the coils to gaussmeter readings, or to the tracks of a session.
 
     READINGS.csv has one row per reading with the columns bx_mT and by_mT, the current of each coil
@@ -75,12 +79,18 @@ def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) 
     """
     import yaml
 
-    from microbot_ros.common.files import output_folder, write_json, write_text
+    from microbot_ros.common.files import (
+        output_folder,
+        refuse_to_overwrite,
+        write_json,
+        write_text,
+    )
+    refuse_to_overwrite(out, _OUTPUTS, force)
     settings, origin = _known_coils(config)
     tracks = source.is_dir() or source.suffix == '.mcap'
     found = (_from_tracks if tracks else _from_readings)(source, settings)
     section = found.settings.content('not none')
-    with output_folder(out) as folder:
+    with output_folder(out, _OUTPUTS) as folder:
         write_text(folder / 'coils.yaml', yaml.safe_dump({'coils': section}, sort_keys=False))
         write_json(folder / 'calibration.json', found.summary)
         found.draw(folder / 'calibration.png')

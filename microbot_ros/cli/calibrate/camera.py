@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from microbot_ros.cli.options import NEW_FOLDER, PATH, json_option
+from microbot_ros.cli.options import NEW_FOLDER, PATH, force_option, json_option
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.plausible import plausible_range
 from microbot_ros.common.units import from_si, to_si
@@ -19,6 +19,9 @@ from microbot_ros.common.units import from_si, to_si
 if TYPE_CHECKING:
     from microbot_ros.estimation.camera_turn import CameraTurn
     from microbot_ros.tracking.graticule import Graticule
+
+
+_OUTPUTS = ('camera.yaml', 'calibration.json', 'calibration.png')
 
 
 @dataclass(frozen=True)
@@ -109,11 +112,12 @@ def _rounded(value: float | None) -> float | None:
                    'rollers); otherwise it is taken as zero on average.')
 @click.option('--config', type=PATH,
               help="Rig's YAML with which SESSION was recorded (else the default tracker).")
+@force_option
 @json_option('Write the result as JSON to this file.')
 def camera(
     session: Path | None, out: Path, graticule: Path | None, spacing_um: float | None,
     along_coils: bool, particles: str | None, diameter_um: float | None, phi_deg: float | None,
-    config: Path | None, json_path: Path | None,
+    config: Path | None, force: bool, json_path: Path | None,
 ) -> None:
     """Find pixel size, rotation and mirroring of the camera relative to the coils.
 
@@ -134,8 +138,14 @@ def camera(
       microbot calibrate camera rollers/ --phi-deg 0 --out out/camera
     """
     from microbot_ros.cli.calibrate.figures import draw_camera
-    from microbot_ros.common.files import output_folder, write_json, write_text
+    from microbot_ros.common.files import (
+        output_folder,
+        refuse_to_overwrite,
+        write_json,
+        write_text,
+    )
 
+    refuse_to_overwrite(out, _OUTPUTS, force)
     if not (session or graticule or particles):
         raise InputError('calibrate camera', 'expected a SESSION, --graticule or --particles')
     spacing = _length('--spacing-um', spacing_um, '--graticule', graticule)
@@ -151,7 +161,7 @@ def camera(
     if particles:
         part = _by_size(part, particles, diameter, result)
     result |= part.as_parameters() | {'notes': list(part.lines)}
-    with output_folder(out) as folder:
+    with output_folder(out, _OUTPUTS) as folder:
         write_text(folder / 'camera.yaml', part.as_yaml())
         write_json(folder / 'calibration.json', result)
         if turn or lines:

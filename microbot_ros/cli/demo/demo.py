@@ -297,7 +297,7 @@ def _print(summary: dict[str, Any], out: Path) -> None:
             f'{found["true_speed_um_s"]:.2f}',
             f'{found["phi_rad"]:.3f} ± {1.96 * found["phi_std_rad"]:.3f} rad',
             f'{found["true_phi_rad"]:.3f}')
-    console = Console()
+    console = Console(markup=False)
     console.print(table)
     latency = summary['latency_ms']
     passed = ('no command acknowledged' if latency['p50'] is None else

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from microbot_ros.cli.discover.drive import FILES, drive_rig
 from microbot_ros.cli.options import (
@@ -79,8 +80,14 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
         raise click.UsageError('expected one of: SESSION..., --live, --drive')
     if apply_ and not drive:
         raise click.UsageError('expected --apply only with --drive')
+    given = click.get_current_context().get_parameter_source
+    for name, mode, on in (('seconds', '--live', live), ('rounds', '--live', live),
+                           ('minutes', '--drive', drive), ('namespace', '--live or --drive',
+                                                           live or drive)):
+        if not on and given(name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f'expected --{name} only with {mode}')
     refuse_to_overwrite(out, (*FILES, 'look-*', 'experiment-*'), force)
-    progress = Console(stderr=True, highlight=False)
+    progress = Console(stderr=True, highlight=False, markup=False)
     if live:
         _watch(out, seconds, rounds, jobs, json_path, progress, namespace)
         return
@@ -112,7 +119,7 @@ def _discover(recordings: Sequence[Session], out: Path, jobs: int, json_path: Pa
         write_json(folder / 'result.json', content)
         write_model(folder / 'model.yaml', found.model, found.particles)
     write_json(json_path, content)
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     for line in found.sentences():
         console.print(line)
     return found

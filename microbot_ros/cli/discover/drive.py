@@ -108,7 +108,7 @@ def _write(driven: Driven, out: Path, json_path: Path | None, progress: Console)
     write_json(json_path, content)
     if result is None:
         raise RigError(driven.reason or 'too little data to learn anything')
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     for line in result[0].sentences():
         console.print(line, soft_wrap=True)
     console.print(f'{driven.decided.replace("_", " ")} after {driven.seconds / 60:.1f} min'

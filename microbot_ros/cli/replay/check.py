@@ -56,7 +56,7 @@ def run_check(session: Path, nodes: Collection[str], end: float, tolerance: floa
     int
         0 if every answer that can be judged is the same, else 1.
     """
-    console = Console(highlight=False, width=None if Console().is_terminal else 150)
+    console = Console(highlight=False, width=None if Console().is_terminal else 150, markup=False)
     if session.exists() and not is_recording(session):
         raise InputError(session, 'expected a recording to check, found a folder of CSV files')
     with tempfile.TemporaryDirectory() as name:
@@ -92,7 +92,7 @@ def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
     from microbot_ros.nodes.configuration import read_rig
     from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
 
-    progress = Console(stderr=True, highlight=False)
+    progress = Console(stderr=True, highlight=False, markup=False)
     with Recording(session) as recorded:
         plan = plan_replay(recorded, session, nodes)
         parameters = read_rig(config) if config else recorded_parameters(

@@ -6,13 +6,15 @@ import itertools
 import sys
 from collections import deque
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import require
+from microbot_ros.common.files import output_folder
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes.base import messages
 from microbot_ros.session.mcap.recording import Recording, kept_parameters
@@ -60,10 +62,20 @@ def write_film(session: Path, out: Path) -> None:
             pictures = _grounds(recording, str(particles))
         first = next(pictures)
         camera = _camera(recording, first[0]) if frames else _around(recording, str(particles))
-        target = sys.stdout.buffer if str(out) == '-' else out
-        with OverlayVideo(target, first[0].shape[:2], rate, _RADIUS_PX) as film:
+        with (_target(out) as target,
+              OverlayVideo(target, first[0].shape[:2], rate, _RADIUS_PX) as film):
             for image, points in itertools.chain([first], pictures):
                 film.write(image, poses_of(points, camera))
+
+
+@contextmanager
+def _target(out: Path) -> Iterator[Path | BinaryIO]:
+    """Context with what to write to; a file has its name once it is whole."""
+    if str(out) == '-':
+        yield sys.stdout.buffer
+        return
+    with output_folder(out.parent) as folder:
+        yield folder / out.name
 
 
 def poses_of(points: np.ndarray, camera: ImageToWorkspace, t: float = 0.0) -> Poses:

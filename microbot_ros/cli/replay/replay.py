@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from pathlib import Path
@@ -88,6 +89,7 @@ def command(
 
         write_film(session, film)
         return
+    rate = 0.0 if rate == math.inf else rate
     from microbot_ros.nodes.process import run
     from microbot_ros.session.replay.playback import Playback, open_source
 
@@ -95,11 +97,13 @@ def command(
     with open_source(session) as source:
         Playback(source, 0.0, rate=rate or math.inf, start=start, end=end or None, loop=loop,
                  topics=topics or None)
-    parameters = {'session': session, 'rate': rate, 'start_s': start, 'end_s': end,
-                  'loop': str(loop).lower(), 'into_live_rig': str(into_live_rig).lower()}
+    # Texts are quoted: a parameter is read as YAML, in which a day is a number.
+    parameters = {'session': json.dumps(str(session)), 'rate': rate, 'start_s': start,
+                  'end_s': end, 'loop': str(loop).lower(),
+                  'into_live_rig': str(into_live_rig).lower()}
     arguments = ['--ros-args']
     for name, value in parameters.items():
         arguments += ['-p', f'{name}:={value}']
     if topics:
-        arguments += ['-p', f'topics:=[{",".join(topics)}]']
+        arguments += ['-p', f'topics:=[{",".join(map(json.dumps, topics))}]']
     sys.exit(run('player', arguments))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 
 import click
@@ -39,7 +40,7 @@ def command(host: str, port: int, token: bool, namespace: str) -> None:
     from microbot_ros.nodes.client.graph_client import checked_namespace
     from microbot_ros.nodes.process import run
 
-    given = {'host': host, 'port': str(port), 'token': str(token).lower()}
+    given = {'host': json.dumps(host), 'port': str(port), 'token': str(token).lower()}
     sys.exit(run('cockpit', [
         '--ros-args', '-r', f'__ns:={checked_namespace(namespace)}',
         *(word for name, value in given.items() for word in ('-p', f'{name}:={value}'))]))

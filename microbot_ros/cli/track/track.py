@@ -90,7 +90,7 @@ def command(
     refuse_to_overwrite(out, _OUTPUTS, force)
     settings = read_yaml(settings_path, TrackerSettings) if settings_path else TrackerSettings()
     commanded = _Commanded(commands_path) if commands_path else None
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
     problems: list[str] = []
     with console.status('reading the film'):
         film = look(source, problems.append, frame_rate_hz, settings, like, unlike)

@@ -243,7 +243,7 @@ class RigClient:
             raise RefusedError('tracker', self.taught.message)
         return str(self.taught.message)
 
-    def set(self, node: str, **values: Any) -> Steps[None]:
+    def set(self, node: str, /, **values: Any) -> Steps[None]:
         """Set parameters of a node, again while it is still busy with them.
 
         Parameters

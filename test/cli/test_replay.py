@@ -1,0 +1,29 @@
+"""Options of `microbot replay` and `discover` that are refused."""
+
+import pytest
+from click.testing import CliRunner
+
+from microbot_ros.cli import microbot
+from microbot_ros.common.errors import InputError
+from microbot_ros.nodes.replay import Replay, ReplayPlan
+
+TRACKS = 't_s,particle,x_um,y_um\n' + ''.join(f'{k / 10},0,{k},0\n' for k in range(30))
+
+
+@pytest.mark.parametrize('end', ['-5', 'nan', 'inf'])
+def test_an_end_that_is_none_is_named(tmp_path, end):
+    with pytest.raises(InputError, match='--end: expected a time of 0 s or later'):
+        Replay(tmp_path, tmp_path / 'out', ReplayPlan((), (), ''), {}, float(end))
+
+
+@pytest.mark.parametrize(('options', 'said'), [
+    (['--seconds', '99'], '--seconds only with --live'),
+    (['--rounds', '2'], '--rounds only with --live'),
+    (['--minutes', '3'], '--minutes only with --drive'),
+    (['--namespace', 'rig_2'], '--namespace only with --live or --drive')])
+def test_options_of_another_mode_are_refused(tmp_path, options, said):
+    (tmp_path / 'tracks.csv').write_text(TRACKS)
+    done = CliRunner().invoke(
+        microbot, ['discover', str(tmp_path), '--out', str(tmp_path / 'o'), *options])
+    assert done.exit_code == 2
+    assert said in done.output
