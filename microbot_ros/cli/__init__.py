@@ -104,8 +104,7 @@ def main() -> None:
             raise
         status = _failed('microbot', missing, 2)
     except click.UsageError as error:
-        where = f'microbot {error.ctx.info_name}' if error.ctx and error.ctx.parent else 'microbot'
-        status = _failed(where, f'{error.format_message()} (see --help)', 2)
+        status = _failed(_name_of(error.ctx), f'{error.format_message()} (see --help)', 2)
     except OSError as error:
         if error.errno not in (*_DISK, *_WRONG_PLACE):
             raise
@@ -117,6 +116,13 @@ def main() -> None:
             raise end.__cause__ from None
         status = 130
     sys.exit(status)
+
+
+def _name_of(context: click.Context | None) -> str:
+    """Return the name of a command with those of its groups."""
+    if context is None or context.parent is None:
+        return 'microbot'
+    return f'{_name_of(context.parent)} {context.info_name}'
 
 
 def script() -> None:

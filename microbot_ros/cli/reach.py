@@ -102,8 +102,8 @@ def _swarm(model_file: Path | None, particles: tuple[str, ...], places: tuple[st
     assert known is not None
     position = as_complex(np.array([_numbers('--at', p, _PAIR) for p in places]) * 1e-6)
     count = len(known.ids)
-    if not (known.speed > 0).all():
-        raise InputError('--particle', 'expected speeds above zero')
+    if not (known.speed >= 1e-9).all():  # no solver resolves less
+        raise InputError('--particle', 'expected speeds of 0.001 µm/s or more')
     if len(position) != count:
         raise InputError('--at', f'expected one for each of {count} particles; '
                                  f'received {len(position)}')

@@ -123,12 +123,13 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     Raises
     ------
     InputError
-        If there are too few frames or no particle answers.
+        If there are too few frames.
     """
     session, settled = settle_identities(session)
     prepared = prepare(session)
     if len(prepared.times) < 4 or prepared.seen.sum() - prepared.seen.any(axis=0).sum() < 3:
-        raise InputError(session.name, 'expected at least 4 frames with a particle seen in them')
+        raise InputError(session.name, 'expected at least 4 frames after the first field with a '
+                         'particle seen in them')
     model = Model.baseline(session.conditions, session.commands)
     fits = DelayedFits(model, prepared)
     plain = fit_sessions(model, [prepared]).session_fits[0]

@@ -1,9 +1,11 @@
 """Options of `microbot replay` and `discover` that are refused."""
 
+import sys
+
 import pytest
 from click.testing import CliRunner
 
-from microbot_ros.cli import microbot
+from microbot_ros.cli import main, microbot
 from microbot_ros.common.errors import InputError
 from microbot_ros.nodes.replay import Replay, ReplayPlan
 
@@ -27,3 +29,14 @@ def test_options_of_another_mode_are_refused(tmp_path, options, said):
         microbot, ['discover', str(tmp_path), '--out', str(tmp_path / 'o'), *options])
     assert done.exit_code == 2
     assert said in done.output
+
+
+@pytest.mark.parametrize(('words', 'name'), [
+    (['calibrate', 'camera', '--nothing'], 'microbot calibrate camera: '),
+    (['batch', 'fit'], 'microbot batch fit: '), (['nothing'], 'microbot: ')])
+def test_what_is_refused_is_named_with_its_group(words, name, monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', ['microbot', *words])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert capsys.readouterr().err.startswith(name)
