@@ -72,6 +72,7 @@ def test_it_takes_over_no_link_to_a_device_and_empties_no_file_but_a_log(tmp_pat
 
 @pytest.mark.parametrize('options', [
     ['--fault', 'flop'], ['--fault', 'flip=2'], ['--fault', 'flip=nan'], ['--fault', 'open=17'],
+    ['--fault', 'open=5'], ['--fault', 'silence/2'],
     ['--fault', 'open=1.5'], ['--fault', 'flip@'], ['--fault', 'unplug@1.2.3'],
     ['--watchdog-ms', '0'], ['--watchdog-ms', 'nan'], ['--watchdog-ms', 'inf'],
     ['--watchdog-ms', '50', '--no-watchdog'],

@@ -59,6 +59,23 @@ class Fault:
     end_s: float
     line: int = 0
 
+    def check(self, channels: int, lines: int) -> None:
+        """Raise InputError for a fault of a coil or of a line that the device does not have.
+
+        Parameters
+        ----------
+        channels : int
+            Number of coils.
+        lines : int
+            Number of serial lines.
+        """
+        if self.kind in _SHARES and self.value > channels:
+            raise InputError('--fault', f'{self.kind}: expected a coil from 1 to {channels}; '
+                                        f'received {self.value:g}')
+        if self.line > lines:
+            raise InputError('--fault', f'{self.kind}: expected a line from 1 to {lines}; '
+                                        f'received {self.line}')
+
 
 def parse(text: str, now_s: float) -> Fault:
     """Return the fault that a text `KIND[=VALUE][/LINE][@START][+DURATION]` describes.

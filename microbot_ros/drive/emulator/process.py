@@ -87,12 +87,14 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
         invalid.
     """
     started = time.monotonic()
-    planned = Faults([parse(text, started) for text in faults if text != '-'])
+    planned = [parse(text, started) for text in faults if text != '-']
     with Ending(launcher=find_launcher()) as ending, ExitStack() as stack:
         diary = stack.enter_context(_Diary())
         coils = Coils(full_scale_A, watchdog_s, cast(TextIO, diary),
                       channels=channels)
         device = make_device(protocol, coils)
+        for fault in planned:
+            fault.check(channels, device.ports)
         lines = []
         for path in links(link, device.ports):
             lines.append(Line(path))
@@ -101,7 +103,8 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
         stack.callback(coils.zero, 'power_off')
         # A real board is not delayed by other programs of this machine.
         set_realtime_priority_of_all(SAFETY)
-        server = Server(device, lines, planned, sys.stdin.fileno() if '-' in faults else None)
+        more = sys.stdin.fileno() if '-' in faults else None
+        server = Server(device, lines, Faults(planned), more)
         print('serving', protocol, 'at', *(line.link for line in lines), flush=True)
         server.run(lambda: ending.due)
 
