@@ -22,13 +22,21 @@ def test_an_end_that_is_none_is_named(tmp_path, end):
     (['--seconds', '99'], '--seconds only with --live'),
     (['--rounds', '2'], '--rounds only with --live'),
     (['--minutes', '3'], '--minutes only with --drive'),
-    (['--namespace', 'rig_2'], '--namespace only with --live or --drive')])
+    (['--namespace', 'rig_2'], '--namespace only with --live or --drive'),
+    (['--drive', '--jobs', '2'], '--jobs only with SESSION or --live')])
 def test_options_of_another_mode_are_refused(tmp_path, options, said):
     (tmp_path / 'tracks.csv').write_text(TRACKS)
+    source = [] if '--drive' in options else [str(tmp_path)]
     done = CliRunner().invoke(
-        microbot, ['discover', str(tmp_path), '--out', str(tmp_path / 'o'), *options])
+        microbot, ['discover', *source, '--out', str(tmp_path / 'o'), *options])
     assert done.exit_code == 2
     assert said in done.output
+
+
+def test_a_recording_that_is_stopped_gets_no_title():
+    done = CliRunner().invoke(microbot, ['record', '--stop', '--title', 'batch 7'])
+    assert done.exit_code == 2
+    assert 'without --stop' in done.output
 
 
 @pytest.mark.parametrize(('words', 'name'), [

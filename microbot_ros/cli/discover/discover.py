@@ -82,8 +82,9 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
         raise click.UsageError('expected --apply only with --drive')
     given = click.get_current_context().get_parameter_source
     for name, mode, on in (('seconds', '--live', live), ('rounds', '--live', live),
-                           ('minutes', '--drive', drive), ('namespace', '--live or --drive',
-                                                           live or drive)):
+                           ('minutes', '--drive', drive),
+                           ('jobs', 'SESSION or --live', not drive),
+                           ('namespace', '--live or --drive', live or drive)):
         if not on and given(name) is ParameterSource.COMMANDLINE:
             raise click.UsageError(f'expected --{name} only with {mode}')
     refuse_to_overwrite(out, (*FILES, 'look-*', 'experiment-*'), force)

@@ -30,6 +30,9 @@ def command(stop: bool, title: str, notes: str, folder: Path | None, namespace: 
     """
     from microbot_ros.nodes.client.graph_client import GraphClient
 
+    if stop and (title or notes or folder):
+        raise click.UsageError('expected --title, --notes and --folder without --stop: set them '
+                               'before, by microbot set recorder title')
     with GraphClient(namespace=namespace) as client:
         if not stop:
             client.set('recorder', title=title, notes=notes,
