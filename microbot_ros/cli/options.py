@@ -21,7 +21,8 @@ class _Path(click.Path):
     Parameters
     ----------
     made : str
-        'file' or 'folder', if the command makes one; '' otherwise.
+        'file', 'json' or 'folder', if the command makes one; '' otherwise. JSON replaces no file
+        of another kind.
     """
 
     def __init__(self, made: str = '') -> None:
@@ -35,11 +36,20 @@ class _Path(click.Path):
             self.fail('expected a path, received nothing', param, ctx)
         super().convert(value, param, ctx)
         path = Path(value)
-        if self._made == 'file' and path.is_dir():
+        if self._made in ('file', 'json') and path.is_dir():
             self.fail(f'expected a file to write, {path} is a folder', param, ctx)
+        if self._made == 'json' and path.is_file() and not _is_json(path):
+            self.fail(f'expected a new file or one of JSON to replace, {path} is another', param,
+                      ctx)
         if self._made == 'folder' and path.exists() and not path.is_dir():
             self.fail(f'expected a folder to write to, {path} is a file', param, ctx)
         return path
+
+
+def _is_json(path: Path) -> bool:
+    """Return whether a file is empty or begins as JSON of a command does."""
+    with path.open('rb') as file:
+        return file.read(1) in (b'', b'{', b'[')
 
 
 PATH, NEW_FILE, NEW_FOLDER = _Path(), _Path('file'), _Path('folder')
@@ -70,7 +80,7 @@ def json_option(description: str) -> Callable[[CommandT], CommandT]:
     callable
         Decorator of the command.
     """
-    return click.option('--json', 'json_path', type=NEW_FILE, help=description)
+    return click.option('--json', 'json_path', type=_Path('json'), help=description)
 
 
 class FiniteFloatRange(click.FloatRange):

@@ -33,6 +33,18 @@ def test_options_of_another_mode_are_refused(tmp_path, options, said):
     assert said in done.output
 
 
+def test_json_replaces_json_only(tmp_path):
+    (tmp_path / 'tracks.csv').write_text(TRACKS)
+    there = tmp_path / 'result.json'
+    there.write_text('{}\n')
+    for file, refused in ((tmp_path / 'tracks.csv', True), (there, False)):
+        done = CliRunner().invoke(microbot, ['info', str(tmp_path), '--json', str(file)])
+        assert ('expected a new file or one of JSON' in done.output) == refused
+        assert done.exit_code == 2 * refused, done.output
+    assert (tmp_path / 'tracks.csv').read_text() == TRACKS
+    assert there.read_text() != '{}\n'
+
+
 def test_a_recording_that_is_stopped_gets_no_title():
     done = CliRunner().invoke(microbot, ['record', '--stop', '--title', 'batch 7'])
     assert done.exit_code == 2
