@@ -291,10 +291,11 @@ def test_stop_is_zero(page, virtual, way) -> None:
 
 
 def test_a_viewer_stops_a_rig_whose_controller_hangs(page, visit, virtual) -> None:
-    switch(page, 'teleop')
-    arm(page)
+    # Opened while disarmed: it takes the processors for more than `feedback_timeout_ms`.
     other = visit()
     take_control(page)
+    switch(page, 'teleop')
+    arm(page)
     _steer(page, virtual, 'ArrowUp')
     try:
         virtual.signal('controller', signal.SIGSTOP)
