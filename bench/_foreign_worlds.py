@@ -42,7 +42,7 @@ def judging_cases(count: int, missing: list[str]) -> list[Case]:
     """Each foreign world `count` times; sentences on what is not there go to `missing`."""
     cases = []
     for kind, (module, _, effect) in _KINDS.items():
-        if not _installed(module):
+        if not installed(module):
             missing.append(f'judging: {kind} left out: {module} is not installed; '
                            'run `make foreign`')
             continue
@@ -60,7 +60,8 @@ def _cases(kind: str, effect: str, count: int, film: Callable[[Case], Session]) 
             for turn in range(count) for effects in ((), (effect,))]
 
 
-def _installed(module: str) -> bool:
+def installed(module: str) -> bool:
+    """Whether the environment of `make foreign` has a module."""
     return PYTHON.exists() and not subprocess.run(
         [PYTHON, '-c', f'import {module}'], capture_output=True, check=False).returncode
 

@@ -20,7 +20,7 @@ from bench._hidden_effects import KINDS, LISTED, Hideout, Parameters
 from microbot_ros.common.records import Commands, Conditions, Session
 from microbot_ros.common.units import to_si
 from microbot_ros.estimation.likelihood.noise import Noise, whiten
-from microbot_ros.estimation.likelihood.prepared_session import distances
+from microbot_ros.estimation.likelihood.prepared_session import nearest
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.increments import respond
 from microbot_ros.model.model import Model, ParticleParameters
@@ -125,7 +125,7 @@ class Experiment:
     def apart(self, path: Path) -> bool:
         """Whether no two spheres came near touching."""
         z = path.position[..., 0] + 1j * path.position[..., 1]
-        return bool(distances(z).min() > 2.3 * self.swarm['radius'][0])
+        return bool(nearest(z).min() > 2.3 * self.swarm['radius'][0])
 
 
 def blind(

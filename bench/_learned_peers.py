@@ -8,19 +8,28 @@ localisation error has no place. Its programs (pyoperon: Burlacu et al. 2020) ar
 first-order motion, and may be drawn in the laboratory, along the heading or towards the nearest
 neighbour, whichever the likelihood prefers at BIC's price.
 
+ADCD (anomaly-driven correction discovery, Erdita 2026): templates of one variable, screened by
+their limit and fitted by least squares. It gets the same rows and frames as GP-SDE, and each
+variable with both limits in turn, of which its own BIC takes one. It runs in the environment of
+`make foreign`; where that is not there it is left out.
+
 What was selected is of all rows. From those that are shown the coefficients of the terms, or one
 factor on a program, are learned anew, in our whitened likelihood: both can only gain by that.
 """
 
 from __future__ import annotations
 
+import subprocess
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from bench._foreign_worlds import PYTHON, installed
 from bench._learned_gap import Foretold, gaps, only_session
 from bench._unlisted_worlds import film
 from microbot_ros.discovery.hypotheses import fit_first_order
@@ -199,27 +208,43 @@ def _again(scene: _Scene, columns: np.ndarray) -> Learns:
     return learns
 
 
-# Genetic programming ----------------------------------------------------------------------------
+# Formulas: genetic programming, and corrections by templates -------------------------------------
 
-def _genetic(scene: _Scene) -> tuple[Learns, str]:
-    """The frame whose programs the likelihood prefers, less what their size costs."""
+Regress = Callable[[np.ndarray, np.ndarray, np.ndarray, list[str]], tuple[np.ndarray, int, str]]
+"""From inputs (n, M) and targets (n,), inputs (m, M) to foretell, and the names of the inputs:
+what is foretold (m,), the number of constants, and the formula."""
+
+
+def _formula(scene: _Scene, inputs: dict[str, np.ndarray],
+             regress: Regress) -> tuple[Learns, str]:
+    """The frame whose formulas the likelihood prefers, less what their size costs."""
     frames = {'laboratory': np.ones_like(scene.own), 'heading': scene.own,
               'neighbour': scene.away}
-    inputs = _inputs(scene)
     best: tuple[float, np.ndarray, str] | None = None
     for name, frame in frames.items():
         if name == 'neighbour' and scene.z.shape[1] < 2:
             continue
         found, bits, said = np.zeros_like(scene.own), 0.0, name
         for way in (1, 1j) if name != 'neighbour' else (1,):
-            values, gain, text = _program(scene, inputs, frame * way)
+            values, gain, text = _factor(scene, inputs, frame * way, regress)
             found, bits, said = found + values * frame * way, bits + gain, f'{said}: {text}'
         if best is None or bits > best[0]:
             best = bits, found, said
     assert best is not None
     _, velocity, said = best
-
     return _again(scene, velocity[..., None]), said
+
+
+def _genetic(scene: _Scene) -> tuple[Learns, str]:
+    return _formula(scene, _inputs(scene), _program)
+
+
+def _correction(scene: _Scene) -> tuple[Learns, str]:
+    inputs = _inputs(scene)
+    for angle, part in (('heading', scene.heading), ('command', np.exp(1j * scene.command))):
+        del inputs[f'cos_{angle}'], inputs[f'sin_{angle}']
+        inputs[angle] = np.broadcast_to(np.angle(part), scene.own.shape)
+    return _formula(scene, inputs, _template)
 
 
 def _inputs(scene: _Scene) -> dict[str, np.ndarray]:
@@ -232,12 +257,10 @@ def _inputs(scene: _Scene) -> dict[str, np.ndarray]:
             if name != 'distance' or scene.z.shape[1] > 1}
 
 
-def _program(scene: _Scene, inputs: dict[str, np.ndarray],
-             frame: np.ndarray) -> tuple[np.ndarray, float, str]:
+def _factor(scene: _Scene, inputs: dict[str, np.ndarray], frame: np.ndarray,
+            regress: Regress) -> tuple[np.ndarray, float, str]:
     """A factor (T−1, N) on `frame` by regression, its gain in log likelihood less its price, and
     its text."""
-    from pyoperon.sklearn import SymbolicRegressor
-
     size = np.abs(frame)
     use = np.isfinite(scene.left) & (size > 0.02)
     target = (scene.left * np.conj(frame)).real[use] / size[use] ** 2
@@ -245,23 +268,44 @@ def _program(scene: _Scene, inputs: dict[str, np.ndarray],
     # Of a factor on a small velocity little is known: rows are as good as that is large.
     rows = np.random.default_rng(0).choice(
         len(target), len(target), p=size[use] ** 2 / (size[use] ** 2).sum())
-    found = SymbolicRegressor(
-        allowed_symbols='add,sub,mul,div,exp,sin,cos,pow,square,constant,variable',
-        optimizer_iterations=5, max_length=20, population_size=500, generations=200,
-        max_time=LONGEST, n_threads=1, random_state=0)
-    found.fit(design[rows], target[rows])
     every = np.stack([np.nan_to_num(part).ravel() for part in inputs.values()], axis=1)
-    values = np.nan_to_num(found.predict(every)).reshape(frame.shape)
+    foretold, constants, text = regress(design[rows], target[rows], every, list(inputs))
+    values = np.nan_to_num(foretold).reshape(frame.shape)
     limit = np.quantile(np.abs(values[use]), 0.999)
     values = np.clip(values, -limit, limit)
     noise = np.nanvar(scene.left) / 2
     done, known = values[use] * size[use], target * size[use]
     gain = float((known**2 - (known - done) ** 2).sum() / (2 * noise))
-    text = found.get_model_string(found.model_, 3, names=list(inputs))
-    constants = sum(part.replace('.', '').isdigit() for part in text.replace('(', ' ').replace(
-        ')', ' ').split())
     return values, gain - constants * np.log(len(target)) / 2, text
 
 
+def _program(design: np.ndarray, target: np.ndarray, every: np.ndarray,
+             names: list[str]) -> tuple[np.ndarray, int, str]:
+    from pyoperon.sklearn import SymbolicRegressor
+
+    found = SymbolicRegressor(
+        allowed_symbols='add,sub,mul,div,exp,sin,cos,pow,square,constant,variable',
+        optimizer_iterations=5, max_length=20, population_size=500, generations=200,
+        max_time=LONGEST, n_threads=1, random_state=0)
+    found.fit(design, target)
+    text = found.get_model_string(found.model_, 3, names=names)
+    constants = sum(part.replace('.', '').isdigit() for part in text.replace('(', ' ').replace(
+        ')', ' ').split())
+    return found.predict(every), constants, text
+
+
+def _template(design: np.ndarray, target: np.ndarray, every: np.ndarray,
+              names: list[str]) -> tuple[np.ndarray, int, str]:
+    with tempfile.TemporaryDirectory() as scratch:
+        given, told = Path(scratch, 'given.npz'), Path(scratch, 'told.npz')
+        np.savez(given, design=design, target=target, every=every, names=names)
+        subprocess.run([PYTHON, Path(__file__).parent / 'foreign' / 'adcd_corrections.py',
+                        given, told], check=True, stdout=subprocess.DEVNULL,
+                       stderr=subprocess.DEVNULL)
+        with np.load(told) as found:
+            return found['values'], int(found['constants']), str(found['text'])
+
+
 PEERS: dict[str, Callable[[_Scene], tuple[Learns, str]]] = {
-    'StochasticForceInference': _force_inference, 'GP-SDE': _genetic}
+    'StochasticForceInference': _force_inference, 'GP-SDE': _genetic,
+    **({'ADCD': _correction} if installed('adcd') else {})}

@@ -24,7 +24,8 @@ Choice: a particle moves by less than its size in it; time of a fit is inverse t
 REMEMBERED = 30.0
 """Time [s] before the first frame that is divided so; what was commanded earlier stays whole.
 
-Choice: headings forget within seconds; a command may be in force for a day.
+A longer pause between frames is divided into as many parts as this time. Choice: headings forget
+within seconds; a command may be in force for a day, and a pause last for an hour.
 """
 
 PARTS = 8
@@ -278,10 +279,13 @@ def _remembered(cache: dict[Key, Value], key: Key, make: Callable[[], Value],
 
 
 def _subdivide(edges: np.ndarray) -> np.ndarray:
-    """Return the edges with more between them, for equal spans of at most LONGEST."""
+    """Return the edges with more between them, for equal spans of at most LONGEST.
+
+    Spans longer than REMEMBERED get no more parts than that.
+    """
     span = np.diff(edges)
     # Frames of just LONGEST stay whole; rounding may leave next to nothing between two edges.
-    parts = np.maximum(np.ceil(span / LONGEST - 1e-9), 1).astype(int)
+    parts = np.ceil(span.clip(max=REMEMBERED) / LONGEST - 1e-9).clip(min=1).astype(int)
     if parts.max() <= 1:
         return edges
     number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)

@@ -10,8 +10,9 @@ import pytest
 from bench._asks_worlds import hidden_world
 from microbot_ros.discovery.driven.design import random_steps
 from microbot_ros.discovery.driven.joined import join
+from microbot_ros.estimation.likelihood import prepared_session
 from microbot_ros.estimation.likelihood.model_fit import fit_sessions
-from microbot_ros.estimation.likelihood.prepared_session import prepare
+from microbot_ros.estimation.likelihood.prepared_session import nearest, prepare
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 
@@ -58,3 +59,18 @@ def test_within_a_piece_one_who_is_missed_is_where_a_model_has_them():
             missed[..., None], np.nan, session.causal_positions))
     filtered = hidden.with_filtered_positions(np.zeros(missed.shape, complex), 0.1)
     assert np.hypot(*(filtered.causal_positions - session.causal_positions)[row, n]) < 2e-6
+
+
+def test_nearest_is_of_the_frame_however_few_frames_are_held_at_once(monkeypatch):
+    rng = np.random.default_rng(0)
+    z = rng.normal(size=(50, 6)) + 1j * rng.normal(size=(50, 6))
+    z[rng.random(z.shape) < 0.5] = np.nan
+    z[:3], z[3, 1:] = np.nan, np.inf
+    expected = np.full(z.shape, np.inf)
+    for t, n in np.argwhere(np.isfinite(z)):
+        others = np.delete(z[t], n)
+        expected[t, n] = np.abs(others[np.isfinite(others)] - z[t, n]).min(initial=np.inf)
+    for pairs in (1, 100, 2**22):
+        monkeypatch.setattr(prepared_session, 'PAIRS', pairs)
+        np.testing.assert_array_equal(nearest(z), expected)
+    assert nearest(z[:, :0]).shape == (50, 0)

@@ -112,6 +112,20 @@ def test_alignment_at_once_forgets_a_turned_heading_and_no_field_keeps_it():
     np.testing.assert_array_equal(felt.heading_sensitivity[:2], 0)
 
 
+def test_a_pause_of_an_hour_is_not_divided_into_36_000_spans():
+    """In which the heading aligns to the command as it does in a pause of a minute."""
+    model = Model(B, effects=(AlignmentLag(0.3), SpeedDecay(20.0)))
+    ends = []
+    for pause in (60.0, 3600.0):
+        times = np.where(TIMES > 1.0, TIMES + pause, TIMES)
+        commands = Commands(np.array([0.0, 1.0]), np.array([[B, 0.0], [0.0, B]]))
+        timeline = Timeline(commands, times)
+        assert len(timeline.segments(model).t) < 2 * len(TIMES) + 310
+        ends.append(respond(Model(B, effects=(AlignmentLag(0.3),)), timeline).increments(
+            PARTICLES)[-1])
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-6)
+
+
 @pytest.mark.parametrize('model', [MODELS['many'], Model(B, effects=(
     AlignmentLag(0.3), SpeedDecay(20.0)))])
 def test_a_command_of_a_month_ago_is_as_one_of_a_minute_ago(model):

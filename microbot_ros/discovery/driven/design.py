@@ -29,7 +29,7 @@ from microbot_ros.estimation.likelihood.joint import (
     inner,
 )
 from microbot_ros.estimation.likelihood.model_fit import ModelFit, difference_steps
-from microbot_ros.estimation.likelihood.prepared_session import PreparedSession, distances
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession, nearest
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.increments import as_vectors
@@ -530,7 +530,7 @@ def _touching(z: np.ndarray, radius: float | None) -> float:
     """
     if radius is None:
         return 0.0
-    return float((distances(z).min(axis=2) < APART * radius).mean())
+    return float((nearest(z) < APART * radius).mean())
 
 
 def _separation(gram: np.ndarray) -> float:

@@ -85,6 +85,9 @@ of angles or a closed loop, have no switch.
 LARGEST_CONTACT = 15e-6
 """Distance [m] of centres above which particles did not touch. Choice: above usual diameters."""
 
+PAIRS = 2**22
+"""Pairs of particles whose distances are held at once. Choice: 64 MB."""
+
 FEWEST = 20
 """Fewest rows of a piece of a split track that is kept.
 
@@ -420,14 +423,14 @@ class PreparedSession:
             With more pieces.
         """
         z = np.where(self.seen, self.z, np.nan)
-        apart = distances(z)
+        apart = nearest(z)
         radius = self.conditions.radius
         steps = np.abs(np.diff(z, axis=0))
         blur = BLUR * float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
         contact = 2 * radius if radius else float(apart.min(initial=np.inf)) + blur
         if contact > LARGEST_CONTACT:
             return self
-        touching = apart.min(axis=2, initial=np.inf) < contact * CONTACT + blur
+        touching = apart < contact * CONTACT + blur
         touching[1:] |= touching[:-1].copy()
         touching[:-1] |= touching[1:].copy()
         return self.split_tracks(touching)
@@ -495,8 +498,8 @@ class PreparedSession:
         return (first > 0) & (first == last)
 
 
-def distances(z: np.ndarray) -> np.ndarray:
-    """Return the distances between particles.
+def nearest(z: np.ndarray) -> np.ndarray:
+    """Return the distance of each particle from the nearest other one.
 
     Parameters
     ----------
@@ -505,13 +508,20 @@ def distances(z: np.ndarray) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (T, N, N)
-        Distances [m]; infinite to itself and where a position is not finite.
+    ndarray, shape (T, N)
+        Distances [m]; infinite where there is no other one, or a position is not finite.
     """
-    apart = np.abs(z[:, :, None] - z[:, None, :])
-    apart[~np.isfinite(apart)] = np.inf
-    apart[:, range(z.shape[1]), range(z.shape[1])] = np.inf
-    return apart
+    z = np.where(np.isfinite(z), z, np.nan)
+    result = np.full(z.shape, np.inf)
+    frames = max(PAIRS // max(z.shape[1] ** 2, 1), 1)
+    for first in range(0, len(z), frames):
+        part = z[first:first + frames]
+        there = np.flatnonzero(np.isfinite(part).any(axis=0))
+        apart = np.abs(part[:, there, None] - part[:, None, there])
+        apart[np.isnan(apart)] = np.inf
+        apart[:, range(len(there)), range(len(there))] = np.inf
+        result[first:first + frames, there] = apart.min(axis=2, initial=np.inf)
+    return result
 
 
 def _stands_out(steps: np.ndarray, intervals: np.ndarray) -> np.ndarray:
