@@ -107,24 +107,23 @@ def _many(count: int) -> list[Figure]:
 
 def _times_in_space() -> list[Figure]:
     rng = np.random.default_rng(2)
-    fields, pulls = rng.normal(size=(2, _BATCH, 3))
+    fields = rng.normal(size=(_BATCH, 3))
     fields *= 1e-3 / np.linalg.norm(fields, axis=1, keepdims=True)
-    pulls *= 1e-3 / np.linalg.norm(pulls, axis=1, keepdims=True)
     six, eight = (Allocator(CoilSet(read_yaml(_CONFIG / f'coils_{number}.yaml', CoilSettings)))
                   for number in ('six', 'eight'))
 
-    def each(call: Callable[..., object], *of: np.ndarray) -> Callable[[], None]:
+    def each(call: Callable[[np.ndarray], object], of: np.ndarray) -> Callable[[], None]:
         def run() -> None:
-            for one in zip(*of, strict=True):
-                call(*one)
+            for one in of:
+                call(one)
         return run
 
     times = seconds(each(six.allocate, fields), each(eight.allocate, fields),
-                    each(eight.actuate, fields, pulls), each(six.allocate, 100 * fields),
-                    each(eight.allocate, 100 * fields), rounds=99)
-    names = ('field, 6 coils', 'field, 8 coils', 'field and pull, 8 coils',
+                    each(six.allocate, 100 * fields), each(eight.allocate, 100 * fields),
+                    rounds=99)
+    names = ('field, 6 coils', 'field, 8 coils',
              'field beyond the limits, 6 coils', 'field beyond the limits, 8 coils')
-    targets = (30, 30, 30, 300, 300)
+    targets = (30, 30, 300, 300)
     return [Figure(19, f'currents for a wanted {name}', 1e6 * time / _BATCH, 'µs', f'≤ {target}',
                    '', 1e6 * time / _BATCH <= target)
             for name, time, target in zip(names, times, targets, strict=True)]

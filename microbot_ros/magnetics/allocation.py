@@ -9,16 +9,11 @@ minimises the heat Σ R I². The limits |Iₖ| ≤ Lₖ are met exactly, without
 * The least-power currents of a field inside are the unlimited ones, I₀, plus a mixture Z y of
   currents that make no field. With Z orthonormal in the heat, the least heat is the shortest y
   with |I₀ + Z y| ≤ L, a small quadratic programme (`allocation_kernels.py`).
-
-`Allocator.actuate` makes a field and a pull together (the force on a unit moment along the field):
-the rows of the pull join those of A, and the freedom that remains minimises the heat.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
 
@@ -31,7 +26,6 @@ from microbot_ros.magnetics.coils import CoilSet
 # Choice: a direction with less than this part of the field of the best direction counts as one
 # that the coils cannot make; rounding is around 1e-12.
 _SINGULAR = 1e-6
-_ROUNDING = 1e-12  # a few thousand units of rounding of a double
 _ALL_ROUND = 2000  # choice: directions on the sphere, 2.5° apart
 
 
@@ -51,28 +45,6 @@ class Allocation(NamedTuple):
 
     currents: np.ndarray
     field: np.ndarray
-    power: float
-    saturated: bool
-
-
-class Actuation(NamedTuple):
-    """Currents for a wanted field and pull, and what they make.
-
-    Attributes
-    ----------
-    currents : (N,) array [A]
-    field : (axes,) array [T]
-        Field at the point, background included.
-    pull : (axes,) array [T/m]
-    power : float
-        Heat in the windings [W].
-    saturated : bool
-        Whether the limits reduced field and pull, both by the same factor.
-    """
-
-    currents: np.ndarray
-    field: np.ndarray
-    pull: np.ndarray
     power: float
     saturated: bool
 
@@ -103,7 +75,6 @@ class Allocator:
         self.matrix = coils.actuation_matrix(point)[:axes]
         """Field at the point per (effective) ampere, (axes, N) [T/A]."""
         self._coils, self._background, self._limits = coils, coils.background, coils.reach
-        self._point = np.reshape(np.asarray(point, dtype=float), (1, -1))
         _refuse_singular(self.matrix, point)
         self._cost = np.diag(np.sqrt(coils.resistance))
         spare = np.linalg.svd(self.matrix)[2][axes:].T
@@ -211,52 +182,6 @@ class Allocator:
         """
         return np.asarray(self.matrix @ self._coils.effective(currents) + self._background)
 
-    def actuate(self, field: ArrayLike, pull: ArrayLike) -> Actuation:
-        """Return the least-power currents that make a field and a pull together.
-
-        The pull is (b·∇)B with b the direction of the field: the force per moment on a particle
-        whose moment is aligned with the field (Kummer et al., IEEE Transactions on Robotics 26,
-        1006 (2010)). If the limits do not allow both, they are reduced by the same factor.
-
-        Parameters
-        ----------
-        field : (axes,) array [T]
-            Wanted field.
-        pull : (axes,) array [T/m]
-            Wanted pull.
-
-        Returns
-        -------
-        Actuation
-            The currents, and the field and pull that they make.
-
-        Raises
-        ------
-        InputError
-            If the coils cannot make the pull under that field; the message names the missing
-            direction.
-        ValueError
-            For NaN and infinity, and for a zero field, along which no moment lies.
-        """
-        field = self._components(np.asarray(field, dtype=float))
-        pull = self._components(np.asarray(pull, dtype=float))
-        strength = math.hypot(*field.tolist())
-        if not (0 < strength < math.inf and math.hypot(*pull.tolist()) < math.inf):
-            raise ValueError('expected a field that is finite and not zero, and a finite pull; '
-                             f'received {field} and {pull}')
-        currents, rows, spare, lacking, lost = self._together(field, pull)
-        if len(lost) and lost.max() > _ROUNDING * self._steepest + _SINGULAR * np.abs(pull).max():
-            raise InputError('coils', f'no pull along {_in_words(lacking[lost.argmax()])} under a '
-                             f'field along {_in_words(field)}')
-        part = 1.0
-        if not (np.abs(currents) <= self._limits).all():
-            part = self._largest_part(np.concatenate([field, pull]), rows)
-            currents = self._within(
-                self._together(part * field, part * pull)[0], spare, self._limits)
-        driven = self._coils.driven(currents)
-        return Actuation(driven, self.matrix @ currents + self._background, rows @ currents,
-                         self._coils.power(driven), part < 1)
-
     def largest(self, direction: ArrayLike) -> float:
         """Return the largest field [T] within the limits along `direction` (axes,), of any length.
 
@@ -303,42 +228,6 @@ class Allocator:
         if vector.shape[-1:] == (2,):
             return np.concatenate([vector, np.zeros((*vector.shape[:-1], 1))], axis=-1)
         raise ValueError(f'expected {axes} components; received {vector}')
-
-    def _largest_part(self, wanted: np.ndarray, rows: np.ndarray) -> float:
-        """Return the largest factor ≤ 1 that brings field and pull (2 axes,) within the limits."""
-        from scipy.optimize import linprog
-        matrix = np.vstack([self.matrix, rows])
-        scale = 1 / np.abs(matrix).max(axis=1, keepdims=True)
-        constant = np.concatenate([self._background, np.zeros(len(rows))])
-        found = linprog(
-            np.append(np.zeros(len(self._limits)), -1.0),
-            A_eq=scale * np.column_stack([matrix, -wanted]), b_eq=-scale[:, 0] * constant,
-            bounds=[*((-limit, limit) for limit in self._limits), (0.0, 1.0)])
-        if found.x is None:
-            raise InputError('background_mT', 'expected a field that the coils can cancel without '
-                             'a pull')
-        return float(found.x[-1])
-
-    @cached_property
-    def _gradient(self) -> np.ndarray:
-        """Gradient ∂Bᵢ/∂xⱼ at the point per ampere, (axes, axes, N) [T/m/A]."""
-        gradient = self._coils.gradient_per_ampere(self._point)[:, 0]
-        axes = self._coils.axes
-        return np.moveaxis(gradient[:, :axes, :axes], 0, -1)
-
-    @cached_property
-    def _together(self) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]]:
-        """`together` with these coils bound; its gradient has j first: b @ it is (b·∇)B."""
-        from microbot_ros.magnetics.allocation_kernels import together
-        axes = self._coils.axes
-        along = np.ascontiguousarray(np.swapaxes(self._gradient, 0, 1)).reshape(axes, -1)
-        coils = (self._background, self._unlimited, self._spare, along, _SINGULAR * self._steepest)
-        return lambda field, pull: together(field, pull, *coils)
-
-    @cached_property
-    def _steepest(self) -> float:
-        """Rough largest gradient [T/m] that the field-free currents make within their limits."""
-        return float(np.linalg.norm(self._gradient @ self._spare))
 
 
 def _refuse_singular(matrix: np.ndarray, point: ArrayLike) -> None:

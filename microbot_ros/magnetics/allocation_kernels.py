@@ -1,4 +1,4 @@
-"""Compiled arithmetic of the allocator: currents for a field and a pull, within the limits.
+"""Compiled arithmetic of the allocator: currents for a field, within the limits.
 
 It is compiled because thirty small NumPy calls take longer than a control period allows.
 
@@ -148,50 +148,3 @@ def within_limits(currents: np.ndarray, spare: np.ndarray, limits: np.ndarray) -
                 normals[j] = normals[j + 1]
     found = currents + spare @ _shortest(normals, bounds, number, basis, triangle)
     return np.minimum(np.maximum(found, -limits), limits)
-
-
-@numba.njit(cache=True)
-def together(
-    field: np.ndarray, pull: np.ndarray, background: np.ndarray, unlimited: np.ndarray,
-    spare: np.ndarray, along: np.ndarray, least: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the least-power currents for a field and a pull, without limits.
-
-    They are `unlimited` @ (field − background) plus a mixture of the columns of `spare`.
-
-    Parameters
-    ----------
-    field : (axes,) array [T]
-        Wanted field, background included.
-    pull : (axes,) array [T/m]
-        Wanted pull.
-    background : (axes,) array [T]
-        Field without current.
-    unlimited : (N, axes) array [A/T]
-        Least-power currents per tesla.
-    spare : (N, S) array
-        Currents that make no field, orthonormal in the heat.
-    along : (axes, axes N) array [T/m/A]
-        Gradient such that b @ along holds the rows of the pull per ampere.
-    least : float
-        Directions of the pull with a singular value over `spare` below this are not made.
-
-    Returns
-    -------
-    tuple of arrays
-        Currents (N,) [A], rows of the pull (axes, N), remaining spare directions (N, ·),
-        directions (·, axes) that are not made, and the pull [T/m] missing along each of them.
-    """
-    axes, count = len(field), len(unlimited)
-    rows = (field / math.sqrt(np.sum(field * field)) @ along).reshape(axes, count)
-    left, size, right = np.linalg.svd(rows @ spare, full_matrices=True)
-    rank = int(np.sum(size > least))
-    # Copies instead of transposed views: products of contiguous arrays are faster.
-    directions, mixtures = np.ascontiguousarray(left.T), np.ascontiguousarray(right.T)
-    currents = unlimited @ (field - background)
-    gap = directions @ (pull - rows @ currents)
-    step = np.zeros(len(mixtures))
-    step[:rank] = gap[:rank] / size[:rank]
-    freed = spare @ mixtures
-    return (currents + freed @ step, rows, np.ascontiguousarray(freed[:, rank:]),
-            directions[rank:], np.abs(gap[rank:]))
