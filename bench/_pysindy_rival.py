@@ -20,8 +20,13 @@ THRESHOLDS = np.geomspace(3e-3, 1.0, 9)
 BLOCKS = 4
 
 
-def false_terms(session: Session) -> int:
-    """How many terms beside the baseline's motion it keeps: 0 where nothing is named."""
+SPEAKS_OF = ('heading_slip', 'uniform_drift', 'linear_flow', 'speed_decay', 'alignment_lag',
+             'hydrodynamic_slowdown', 'gradient_force', 'incomplete_alignment')
+"""Effects of the features, two columns each: right and up."""
+
+
+def named(session: Session) -> set[str]:
+    """The effects that the features it keeps beside the baseline's motion speak of."""
     velocity, features = _regression(session)
     folds = np.arange(len(velocity[0])) * BLOCKS // len(velocity[0])
     errors = [
@@ -29,10 +34,9 @@ def false_terms(session: Session) -> int:
         for threshold in THRESHOLDS
     ]
     best = THRESHOLDS[int(np.argmin(errors))]
-    coefficients = _fit(velocity, features, np.ones(len(folds), bool), best)
-    beside = coefficients.copy()
+    beside = _fit(velocity, features, np.ones(len(folds), bool), best).copy()
     beside[0, 0] = beside[1, 1] = 0.0
-    return int((beside != 0).any(axis=0).sum())
+    return {SPEAKS_OF[column // 2] for column in np.flatnonzero((beside != 0).any(axis=0))}
 
 
 def _regression(session: Session) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -46,7 +46,7 @@ class Outcome:
     `names` (id, status), plainest first; `rivals`: what those names can't be told from, all
     together; `covered`: per parameter of a right name, whether its 95 % interval holds the truth;
     `excess`: held-out gap before, after, of the true model, and floor [m]; `unknowns` and `rows`:
-    k and n of the theoretical limit k ln n; `seconds` of CPU time; `rivals_said`: how many terms
+    k and n of the theoretical limit k ln n; `seconds` of CPU time; `rivals_said`: what effects
     each rival kept.
     """
 
@@ -61,7 +61,7 @@ class Outcome:
     unknowns: int
     rows: int
     seconds: float
-    rivals_said: Mapping[str, int] = field(default_factory=dict)
+    rivals_said: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     near_floor: bool = False
 
     @property
@@ -107,24 +107,24 @@ def judge(case: Case) -> Outcome:
         tuple(residual.against for residual in found.unexplained),
         tuple(covered(session, found)), (gap.before, gap.after, gap.truth, gap.floor),
         sum(len(EFFECTS[e].parameters()) for e in case.effects if e in EFFECTS), 2 * rows,
-        seconds, {name: _RIVALS[name](session.session) for name in case.rivals},
+        seconds, {name: tuple(sorted(_RIVALS[name](session.session))) for name in case.rivals},
         session.near_floor)
 
 
-def _pysindy(session: Session) -> int:
-    from bench._pysindy_rival import false_terms
+def _pysindy(session: Session) -> set[str]:
+    from bench._pysindy_rival import named
 
-    return false_terms(session)
+    return named(session)
 
 
-def _sfi(session: Session) -> int:
-    from bench._sfi_rival import false_terms
+def _sfi(session: Session) -> set[str]:
+    from bench._sfi_rival import named
 
-    return false_terms(session)
+    return named(session)
 
 
 PYSINDY, SFI = 'PySINDy', 'StochasticForceInference'
-_RIVALS: dict[str, Callable[[Session], int]] = {PYSINDY: _pysindy, SFI: _sfi}
+_RIVALS: dict[str, Callable[[Session], set[str]]] = {PYSINDY: _pysindy, SFI: _sfi}
 """Imported where they run: both take long to load, and one does not survive a fork."""
 
 
@@ -208,9 +208,13 @@ def null_cases(count: int) -> list[Case]:
 
 def one_each(card: str, evidence: float, sets: int, first: int,
              effects: Iterable[str] = LISTED) -> list[Case]:
-    """Each of the effects that many times, under commands that leave nothing undefined."""
+    """Each of the effects that many times, under commands that leave nothing undefined.
+
+    The first of each that is strong goes to the rivals too.
+    """
     return [
-        Case(card, first + 1000 * k + turn, _wide(effect, k + turn), (effect,), evidence)
+        Case(card, first + 1000 * k + turn, _wide(effect, k + turn), (effect,), evidence,
+             rivals=(PYSINDY, SFI) if card == 'strong' and k == 0 else ())
         for k in range(sets) for turn, effect in enumerate(effects)
     ]
 

@@ -32,11 +32,6 @@ PLACED = {
 """Terms and the effects that they speak of."""
 
 
-def false_terms(session: Session) -> int:
-    """How many terms beside the baseline's motion it keeps: 0 where nothing is named."""
-    return len(kept(session))
-
-
 def named(session: Session) -> set[str]:
     """The effects that the terms it keeps speak of."""
     return {(DRIVEN | PLACED)[term] for term in kept(session)}

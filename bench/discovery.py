@@ -10,7 +10,7 @@ import dataclasses
 import json
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +59,8 @@ def score(outcomes: Iterable[Outcome]) -> list[Figure]:
         *_nothing_missing(card['null']),
         _share('first name right at λ = 40', [o.first for o in card['plain']], 0.97),
         _share('exact set right at λ = 100, not near the floor of the instrument',
-               [o.exact for o in card['strong'] if not o.near_floor], 0.95),
+               [o.exact for o in card['strong'] if not o.near_floor], 0.95,
+               peer=_rivals(card['strong'], lambda said, o: said == o.case.effects)),
         _share('truth named or in the ambiguity set', [o.suspected for o in named], 0.99),
         _share('two at once, exact set right',
                [o.exact for o in card['two'] if not o.near_floor], 0.90),
@@ -74,15 +75,20 @@ def score(outcomes: Iterable[Outcome]) -> list[Figure]:
 
 
 def _nothing_missing(outcomes: list[Outcome]) -> list[Figure]:
-    false = {name: [o.rivals_said[name] > 0 for o in outcomes if name in o.rivals_said]
-             for name in (PYSINDY, SFI)}
-    peer = ', '.join(f'{name}: {sum(said)} of {len(said)}' for name, said in false.items())
     return [
         _share('nothing missing: established names',
-               [bool(o.established) for o in outcomes], 0.01, at_most=True, peer=peer),
+               [bool(o.established) for o in outcomes], 0.01, at_most=True,
+               peer=_rivals(outcomes, lambda said, _: bool(said))),
         _share('nothing missing: called consistent',
                [o.verdict == 'consistent' for o in outcomes], 0.98),
     ]
+
+
+def _rivals(outcomes: list[Outcome], hit: Callable[[tuple[str, ...], Outcome], bool]) -> str:
+    """Of how many sessions that a rival has seen what it said is a `hit`, in words."""
+    judged = {name: [hit(o.rivals_said[name], o) for o in outcomes if name in o.rivals_said]
+              for name in (PYSINDY, SFI)}
+    return ', '.join(f'{name}: {sum(hits)} of {len(hits)}' for name, hits in judged.items())
 
 
 def interval(hits: int, count: int) -> tuple[float, float]:
