@@ -57,7 +57,8 @@ def score(outcomes: Iterable[Outcome]) -> list[Figure]:
     named = [o for key in ('plain', 'strong', 'narrow') for o in card[key]]
     return [
         *_nothing_missing(card['null']),
-        _share('first name right at λ = 40', [o.first for o in card['plain']], 0.97),
+        _share('first name right at λ = 40', [o.first for o in card['plain']], 0.97,
+               peer=f'theory: {_allowed(card["plain"]):.1f}'),
         _share('exact set right at λ = 100, not near the floor of the instrument',
                [o.exact for o in card['strong'] if not o.near_floor], 0.95,
                peer=_rivals(card['strong'], lambda said, o: said == o.case.effects)),
@@ -82,6 +83,17 @@ def _nothing_missing(outcomes: list[Outcome]) -> list[Figure]:
         _share('nothing missing: called consistent',
                [o.verdict == 'consistent' for o in outcomes], 0.98),
     ]
+
+
+def _allowed(outcomes: list[Outcome]) -> float:
+    """How many effects theory can name: the log evidence (λ − k ln n)/2 is above zero.
+
+    By chance λ is distributed as a noncentral χ² of k degrees of freedom.
+    """
+    from scipy.stats import ncx2
+
+    return sum(float(ncx2.sf(o.unknowns * math.log(o.rows), o.unknowns, o.case.evidence))
+               for o in outcomes)
 
 
 def _rivals(outcomes: list[Outcome], hit: Callable[[tuple[str, ...], Outcome], bool]) -> str:
