@@ -173,6 +173,17 @@ def test_a_formula_is_found_again(channel):
     assert not missed
 
 
+def test_a_formula_acts_in_a_pause_but_not_outside_of_the_data():
+    """Of time; where no angle was commanded nothing is known."""
+    seen = np.array([0, 0, 1, 1, 0, 0, 0, 0, 1, 1, 0, 0], bool)
+    knots = np.linspace(-3.0, 3.0, 12)
+    term = LearnedTerm('time', 'heading', 'speed', (knots,), *np.zeros((3, 12, 1)), seen)
+    acts = {against: (grammar(replace(term, against=against))[0].basis(()) != 0).any(axis=1)
+            for against in ('time', 'command angle')}
+    np.testing.assert_array_equal(acts['time'], [0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0])
+    np.testing.assert_array_equal(acts['command angle'], [0, 1, 1, 1, 1, 0, 0, 1, 1, 1, 1, 0])
+
+
 # Held out ---------------------------------------------------------------------------------------
 
 def test_nothing_inside_a_hidden_block_moves_what_is_learned(film, findings):

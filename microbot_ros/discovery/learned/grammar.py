@@ -194,18 +194,21 @@ def grammar(term: LearnedTerm) -> list[Formula]:
 
 
 def _near(term: LearnedTerm) -> np.ndarray:
-    """Return which knots (K,) have data or are next to one that has: there formulas act."""
+    """Return the knots (K,) at which formulas act: with data, next to one with data, or, of one
+    axis that is no angle, between two with data."""
     if len(term.axes) == 1:
         seen = term.seen
-        return np.asarray(seen | np.roll(seen, 1) | np.roll(seen, -1)) & (
-            np.ones(len(seen), bool) if term.against in PERIODIC
-            else np.r_[False, np.ones(len(seen) - 2, bool), False])
+        if term.against in PERIODIC:
+            return np.asarray(seen | np.roll(seen, 1) | np.roll(seen, -1))
+        first, last = np.flatnonzero(seen)[[0, -1]]
+        inside = np.zeros(len(seen), bool)
+        inside[max(first - 1, 1):min(last + 2, len(seen) - 1)] = True
+        return inside
     seen = term.seen.reshape([len(axis) for axis in term.axes])
     grown = seen.copy()
     for shift, axis in product((1, -1), (0, 1)):
         grown |= np.roll(seen, shift, axis)
-    inside: np.ndarray = grown.ravel()
-    return inside
+    return np.asarray(grown.ravel())
 
 
 @dataclass(frozen=True)
