@@ -145,12 +145,10 @@ class ModelStage:
 
         Effects such as fuel decay count from the start, and anew where the clock was set back.
         """
-        began = self._origin is None or t < self._newest - SET_BACK
-        self._newest = t
-        if began:
+        if self._origin is None or t < self._newest - SET_BACK:
             self._origin = t
             self._take_commands(t)
-        assert self._origin is not None
+        self._newest = t
         return t - self._origin
 
     def _take_commands(self, origin: float) -> None:
