@@ -464,7 +464,7 @@ class _Asked:
     def __init__(self, exchanges: Round, lines: Sequence[Port], reply_s: float, attempts: int,
                  counters: Counters, clock: Clock) -> None:
         self._exchanges, self._lines, self._counters = exchanges, lines, counters
-        self._reply_s, self._attempts, self._clock = reply_s, attempts, clock
+        self._reply_s, self._clock = reply_s, clock
         self._left = dict.fromkeys(exchanges, attempts)
         self._deadline_s = dict.fromkeys(exchanges, 0.0)
         self._received = dict.fromkeys(exchanges, b'')
