@@ -194,8 +194,11 @@ def grammar(term: LearnedTerm) -> list[Formula]:
 
 
 def _near(term: LearnedTerm) -> np.ndarray:
-    """Return the knots (K,) at which formulas act: with data, next to one with data, or, of one
-    axis that is no angle, between two with data."""
+    """Return at which knots (K,) formulas act.
+
+    These are the ones with data and next to one with data; of one axis that is no angle, also
+    those between.
+    """
     if len(term.axes) == 1:
         seen = term.seen
         if term.against in PERIODIC:
