@@ -29,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench._foreign_worlds import PYTHON, installed
+from bench._foreign_worlds import PYTHON
 from bench._learned_gap import Foretold, gaps, only_session
 from bench._unlisted_worlds import film
 from microbot_ros.discovery.hypotheses import fit_first_order
@@ -307,5 +307,4 @@ def _template(design: np.ndarray, target: np.ndarray, every: np.ndarray,
 
 
 PEERS: dict[str, Callable[[_Scene], tuple[Learns, str]]] = {
-    'StochasticForceInference': _force_inference, 'GP-SDE': _genetic,
-    **({'ADCD': _correction} if installed('adcd') else {})}
+    'StochasticForceInference': _force_inference, 'GP-SDE': _genetic, 'ADCD': _correction}

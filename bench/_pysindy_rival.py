@@ -18,8 +18,6 @@ from microbot_ros.model.timeline import Timeline
 
 THRESHOLDS = np.geomspace(3e-3, 1.0, 9)
 BLOCKS = 4
-
-
 SPEAKS_OF = ('heading_slip', 'uniform_drift', 'linear_flow', 'speed_decay', 'alignment_lag',
              'hydrodynamic_slowdown', 'gradient_force', 'incomplete_alignment')
 """Effects of the features, two columns each: right and up."""
@@ -34,7 +32,7 @@ def named(session: Session) -> set[str]:
         for threshold in THRESHOLDS
     ]
     best = THRESHOLDS[int(np.argmin(errors))]
-    beside = _fit(velocity, features, np.ones(len(folds), bool), best).copy()
+    beside = _fit(velocity, features, np.ones(len(folds), bool), best)
     beside[0, 0] = beside[1, 1] = 0.0
     return {SPEAKS_OF[column // 2] for column in np.flatnonzero((beside != 0).any(axis=0))}
 

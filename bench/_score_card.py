@@ -7,13 +7,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import TypeVar
 
 import numpy as np
 
 from bench._hidden_effects import LISTED, UNLISTED
 from bench._hidden_suite import COMMANDS, FIELD, Blind, blind
-from microbot_ros.common.records import Session
 from microbot_ros.common.units import to_si
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.result import Discovery, Estimate
@@ -107,25 +107,14 @@ def judge(case: Case) -> Outcome:
         tuple(residual.against for residual in found.unexplained),
         tuple(covered(session, found)), (gap.before, gap.after, gap.truth, gap.floor),
         sum(len(EFFECTS[e].parameters()) for e in case.effects if e in EFFECTS), 2 * rows,
-        seconds, {name: tuple(sorted(_RIVALS[name](session.session))) for name in case.rivals},
+        seconds, {name: tuple(sorted(import_module(_RIVALS[name]).named(session.session)))
+                  for name in case.rivals},
         session.near_floor)
 
 
-def _pysindy(session: Session) -> set[str]:
-    from bench._pysindy_rival import named
-
-    return named(session)
-
-
-def _sfi(session: Session) -> set[str]:
-    from bench._sfi_rival import named
-
-    return named(session)
-
-
 PYSINDY, SFI = 'PySINDy', 'StochasticForceInference'
-_RIVALS: dict[str, Callable[[Session], set[str]]] = {PYSINDY: _pysindy, SFI: _sfi}
-"""Imported where they run: both take long to load, and one does not survive a fork."""
+_RIVALS = {PYSINDY: 'bench._pysindy_rival', SFI: 'bench._sfi_rival'}
+"""Modules, imported where they run: both take long to load, and one does not survive a fork."""
 
 
 def true_model(session: Blind) -> Model:

@@ -147,17 +147,19 @@ SEED = sized(3, 1)
 
 def beside(outcomes: Sequence[Outcome]) -> list[Figure]:
     """The gap that peers leave, beside ours of the same worlds among the `outcomes`."""
+    from bench._foreign_worlds import installed
     from bench._learned_peers import PEERS, Judged
     from bench._learned_peers import judge as judge_peer
 
+    peers = [peer for peer in PEERS if peer != 'ADCD' or installed('adcd')]
     judged = run_kept(
         Path('out/learned_peers.jsonl'), [(kind, SEED, peer) for kind in COMPARED
-                                          for peer in PEERS],
+                                          for peer in peers],
         judge_peer, lambda told: Judged(**told))
     ours = {o.kind: _left(o.before, o.after) for o in outcomes
             if o.kind in COMPARED and o.seed == SEED}
     result = []
-    for peer in PEERS:
+    for peer in peers:
         theirs = [one for one in judged if one.peer == peer and one.kind in ours]
         if not theirs:
             continue
